@@ -1,0 +1,234 @@
+//! Heights by least squares, and edge flips that lower the squared error.
+
+use crate::error::Result;
+use crate::grid::{Grid, Height};
+use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
+use crate::predicate::Point;
+use crate::progress::Progress;
+use crate::scan::{for_each_pixel, Corners};
+
+/// Conjugate gradients stop when the residual has fallen by this factor.
+const REDUCTION: f64 = 1e-4;
+const MAX_ITERATIONS: usize = 60;
+
+/// A set of pixels, one bit each.
+pub struct Visited(Vec<u64>);
+
+impl Visited {
+    pub fn new(pixels: usize) -> Self {
+        Visited(vec![0; pixels.div_ceil(64)])
+    }
+
+    /// Adds the pixel; false if it was there.
+    #[inline]
+    pub fn insert(&mut self, pixel: usize) -> bool {
+        let (word, bit) = (&mut self.0[pixel / 64], 1u64 << (pixel % 64));
+        let new = *word & bit == 0;
+        *word |= bit;
+        new
+    }
+}
+
+/// Normal equations of the hat functions, kept as one symmetric 3 x 3 block a triangle.
+struct Normal<'m> {
+    mesh: &'m Mesh,
+    /// (00, 01, 02, 11, 12, 22) of each triangle.
+    blocks: Vec<[f64; 6]>,
+    /// Inverse diagonal, 0 for vertices without pixels.
+    inverse: Vec<f64>,
+}
+
+impl Normal<'_> {
+    /// y = A x.
+    fn apply(&self, x: &[f64], y: &mut [f64]) {
+        y.fill(0.0);
+        for (triangle, m) in self.mesh.triangles().iter().zip(&self.blocks) {
+            let [i, j, k] = triangle.v.map(|v| v as usize);
+            let (a, b, c) = (x[i], x[j], x[k]);
+            y[i] += m[0] * a + m[1] * b + m[2] * c;
+            y[j] += m[1] * a + m[3] * b + m[4] * c;
+            y[k] += m[2] * a + m[4] * b + m[5] * c;
+        }
+    }
+}
+
+/// Moves the heights `z` of the vertices to those of the continuous, piecewise
+/// linear surface over `mesh` with the least sum of squared differences from the
+/// pixels of `target` (Jacobi-preconditioned conjugate gradients, starting at `z`).
+pub fn fit_heights<T: Height>(
+    mesh: &Mesh,
+    z: &mut [f64],
+    target: &Grid<T>,
+    progress: &mut Progress,
+) -> Result<()> {
+    let mut seen = Visited::new(target.z().len());
+    let mut blocks = vec![[0.0; 6]; mesh.triangles().len()];
+    // Right-hand side minus A z: the residual of the heights as they stand.
+    let mut residual = vec![0.0; z.len()];
+    let mut inverse = vec![0.0; z.len()];
+    let count = blocks.len();
+    for (t, m) in blocks.iter_mut().enumerate() {
+        let triangle = mesh.triangle(t as u32);
+        if triangle.is_void() {
+            continue;
+        }
+        let v = triangle.v.map(|v| v as usize);
+        let p = mesh.corners(t as u32);
+        let mut visited = 0;
+        let mut weights = Hats::over(p);
+        for_each_pixel(target, p, v.map(|v| z[v]), Corners::Included, |col, row, height, plane| {
+            visited += 1;
+            if !seen.insert(row * target.cols() + col) {
+                return;
+            }
+            let [a, b, c] = weights.at(col, row);
+            for (sum, product) in m.iter_mut().zip([a * a, a * b, a * c, b * b, b * c, c * c]) {
+                *sum += product;
+            }
+            for (v, weight) in v.into_iter().zip([a, b, c]) {
+                residual[v] += weight * (height - plane);
+            }
+        });
+        for (v, diagonal) in v.into_iter().zip([m[0], m[3], m[5]]) {
+            inverse[v] += diagonal;
+        }
+        progress.poll(4 * visited + 16, || 0.5 * t as f64 / count as f64)?;
+    }
+    for d in &mut inverse {
+        *d = if *d > 0.0 { 1.0 / *d } else { 0.0 };
+    }
+    let normal = Normal { mesh, blocks, inverse };
+    let change = conjugate_gradients(&normal, residual, progress)?;
+    for (z, change) in z.iter_mut().zip(change) {
+        *z += change;
+    }
+    Ok(())
+}
+
+/// The three hat functions of a triangle.
+struct Hats {
+    origin: Point,
+    d1: (f64, f64),
+    d2: (f64, f64),
+}
+
+impl Hats {
+    fn over(p: [Point; 3]) -> Self {
+        let area = crate::predicate::orient2d(p[0], p[1], p[2]) as f64;
+        let gradient =
+            |from: Point, to: Point| (f64::from(from.y - to.y) / area, f64::from(to.x - from.x) / area);
+        Hats { origin: p[0], d1: gradient(p[2], p[0]), d2: gradient(p[0], p[1]) }
+    }
+
+    #[inline]
+    fn at(&mut self, col: usize, row: usize) -> [f64; 3] {
+        let q = Point::pixel(col, row);
+        let (dx, dy) = (f64::from(q.x - self.origin.x), f64::from(q.y - self.origin.y));
+        let b = self.d1.0 * dx + self.d1.1 * dy;
+        let c = self.d2.0 * dx + self.d2.1 * dy;
+        [1.0 - b - c, b, c]
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Solves A x = r for x, starting at 0.
+fn conjugate_gradients(normal: &Normal, mut r: Vec<f64>, progress: &mut Progress) -> Result<Vec<f64>> {
+    let precondition =
+        |r: &[f64]| -> Vec<f64> { r.iter().zip(&normal.inverse).map(|(r, d)| r * d).collect() };
+    let mut x = vec![0.0; r.len()];
+    let mut product = vec![0.0; r.len()];
+    let mut direction = precondition(&r);
+    let mut rho = dot(&r, &direction);
+    let goal = rho * REDUCTION * REDUCTION;
+    for i in 0..MAX_ITERATIONS {
+        if rho <= goal || rho == 0.0 {
+            break;
+        }
+        progress.poll(8 * x.len(), || 0.5 + 0.5 * i as f64 / MAX_ITERATIONS as f64)?;
+        normal.apply(&direction, &mut product);
+        let step = rho / dot(&direction, &product);
+        for i in 0..x.len() {
+            x[i] += step * direction[i];
+            r[i] -= step * product[i];
+        }
+        let z = precondition(&r);
+        let rho_next = dot(&r, &z);
+        let keep = rho_next / rho;
+        rho = rho_next;
+        for (d, z) in direction.iter_mut().zip(z) {
+            *d = z + keep * *d;
+        }
+    }
+    Ok(x)
+}
+
+/// Sum of squared differences between a plane and the pixels of the closed triangle.
+fn squared_error<T: Height>(target: &Grid<T>, p: [Point; 3], z: [f64; 3]) -> (f64, usize) {
+    let (mut sum, mut count) = (0.0, 0);
+    for_each_pixel(target, p, z, Corners::Included, |_, _, height, plane| {
+        sum += (height - plane) * (height - plane);
+        count += 1;
+    });
+    (sum, count)
+}
+
+/// One pass over the edges: flips each unconstrained edge whose flip lowers the sum
+/// of squared errors against `target`. Returns the number of flips; the mesh is
+/// then no longer Delaunay.
+pub fn flip_pass<T: Height>(
+    mesh: &mut Mesh,
+    z: &[f64],
+    target: &Grid<T>,
+    progress: &mut Progress,
+) -> Result<usize> {
+    let count = mesh.triangles().len() as u32;
+    let height = |v: [u32; 3]| v.map(|v| z[v as usize]);
+    let mut errors = vec![f64::NAN; count as usize];
+    let mut flips = 0;
+    for t in 0..count {
+        let mut work = 64;
+        for h in (0..3).map(|k| half_edge(t, k)) {
+            let twin = mesh.twin(h);
+            // Each edge once: from its lower triangle.
+            if twin == NONE
+                || twin < h
+                || mesh.is_constrained(h)
+                || mesh.triangle(t).is_void()
+                || !mesh.is_convex(h)
+            {
+                continue;
+            }
+            let mut now = 0.0;
+            for t in [t, triangle_of(twin)] {
+                if errors[t as usize].is_nan() {
+                    let (error, pixels) = squared_error(target, mesh.corners(t), height(mesh.triangle(t).v));
+                    errors[t as usize] = error;
+                    work += pixels;
+                }
+                now += errors[t as usize];
+            }
+            let (a, b, c, d) = (mesh.origin(h), mesh.dest(h), mesh.apex(h), mesh.apex(twin));
+            let mut error_of = |v: [u32; 3]| {
+                let (error, pixels) = squared_error(target, v.map(|v| mesh.point(v)), height(v));
+                work += pixels;
+                error
+            };
+            let first = error_of([c, a, d]);
+            if first >= now {
+                continue;
+            }
+            let flipped = [first, error_of([c, d, b])];
+            if flipped[0] + flipped[1] < now * (1.0 - 1e-9) {
+                mesh.flip(h);
+                errors[t as usize] = flipped[0];
+                errors[triangle_of(twin) as usize] = flipped[1];
+                flips += 1;
+            }
+        }
+        progress.poll(4 * work, || f64::from(t) / f64::from(count))?;
+    }
+    Ok(flips)
+}

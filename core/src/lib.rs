@@ -1,0 +1,25 @@
+//! Exact incremental Delaunay refinement of digital elevation models.
+//!
+//! Modules, each using only those above it: `predicate`, `grid`, `mesh` (`check`,
+//! `constrain`), `scan`, `scale`, `outline`, `queue`, `refine`, `fit`, `pipeline`;
+//! `python` is the binding.
+
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
+
+pub mod check;
+pub mod constrain;
+pub mod error;
+pub mod fit;
+pub mod grid;
+pub mod measure;
+pub mod mesh;
+pub mod outline;
+pub mod pipeline;
+pub mod predicate;
+pub mod progress;
+#[cfg(feature = "python")]
+mod python;
+pub mod queue;
+pub mod refine;
+pub mod scale;
+pub mod scan;

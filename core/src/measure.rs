@@ -1,0 +1,104 @@
+//! What the finished mesh looks like on the grid: the surface and its errors.
+
+use crate::error::Result;
+use crate::fit::Visited;
+use crate::grid::{Grid, Height};
+use crate::mesh::Mesh;
+use crate::progress::Progress;
+use crate::scan::{for_each_pixel, for_each_plane_row, Corners};
+
+/// Error statistics over the valid pixels that the mesh covers.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Errors {
+    pub rmse: f64,
+    pub mae: f64,
+    /// 95 % of the pixels have at most this absolute error.
+    pub p95: f64,
+    pub max: f64,
+    /// Signed mean of mesh minus DEM.
+    pub mean: f64,
+    pub covered: usize,
+    /// Valid pixels that no triangle covers.
+    pub uncovered: usize,
+    /// Void pixels that a triangle covers.
+    pub void_covered: usize,
+}
+
+/// Heights of the mesh on every pixel centre; NaN where no triangle is. Where
+/// triangles meet, the first one's height stands.
+pub fn rasterise<T: Height>(
+    mesh: &Mesh,
+    z: &[f64],
+    rows: usize,
+    cols: usize,
+    progress: &mut Progress,
+) -> Result<Vec<T>> {
+    let mut surface = vec![T::from_f64(f64::NAN); rows * cols];
+    for t in 0..mesh.triangles().len() as u32 {
+        let triangle = mesh.triangle(t);
+        if triangle.is_void() {
+            continue;
+        }
+        let mut work = 16;
+        for_each_plane_row(mesh.corners(t), triangle.v.map(|v| z[v as usize]), |row, first, end, plane| {
+            for (col, pixel) in (first..end).zip(&mut surface[row * cols + first..row * cols + end]) {
+                if pixel.to_f64().is_nan() {
+                    *pixel = T::from_f64(plane.at(col));
+                }
+            }
+            work += end - first;
+        });
+        progress.poll(work, || f64::from(t) / mesh.triangles().len() as f64)?;
+    }
+    Ok(surface)
+}
+
+/// Compares the mesh with `grid`, each pixel once, and gives the largest absolute
+/// error in every triangle (closed) as well.
+pub fn errors<T: Height>(
+    mesh: &Mesh,
+    z: &[f64],
+    grid: &Grid<T>,
+    progress: &mut Progress,
+) -> Result<(Errors, Vec<f64>)> {
+    let mut seen = Visited::new(grid.z().len());
+    let mut largest = vec![0.0f64; mesh.triangles().len()];
+    let mut absolute: Vec<f32> = Vec::new();
+    let mut result = Errors::default();
+    let (mut squares, mut sum, mut signed) = (0.0, 0.0, 0.0);
+    for t in 0..mesh.triangles().len() as u32 {
+        let triangle = mesh.triangle(t);
+        if triangle.is_void() {
+            continue;
+        }
+        let worst = &mut largest[t as usize];
+        let (p, heights) = (mesh.corners(t), triangle.v.map(|v| z[v as usize]));
+        let mut work = 16;
+        for_each_pixel(grid, p, heights, Corners::Included, |col, row, height, plane| {
+            let error = plane - height;
+            *worst = worst.max(error.abs());
+            work += 1;
+            if seen.insert(row * grid.cols() + col) {
+                squares += error * error;
+                sum += error.abs();
+                signed += error;
+                absolute.push(error.abs() as f32);
+            }
+        });
+        for_each_plane_row(p, heights, |row, first, end, _| {
+            let mut void = |col: usize| !grid.is_valid(col, row) && seen.insert(row * grid.cols() + col);
+            result.void_covered += (first..end).filter(|&col| void(col)).count();
+        });
+        result.max = result.max.max(*worst);
+        progress.poll(2 * work, || f64::from(t) / mesh.triangles().len() as f64)?;
+    }
+    result.covered = absolute.len();
+    result.uncovered = grid.count_valid() - result.covered;
+    if result.covered > 0 {
+        let n = result.covered as f64;
+        (result.rmse, result.mae, result.mean) = ((squares / n).sqrt(), sum / n, signed / n);
+        let index = ((result.covered - 1) as f64 * 0.95) as usize;
+        result.p95 = f64::from(*absolute.select_nth_unstable_by(index, f32::total_cmp).1);
+    }
+    Ok((result, largest))
+}

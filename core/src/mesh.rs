@@ -1,0 +1,380 @@
+//! Half-edge triangulation of a rectangle: insertion, flips, Delaunay upkeep.
+//!
+//! Half-edge `h = 4 t + k` (k = 0, 1, 2) runs from corner k of triangle t to
+//! corner k + 1; its twin is the same edge seen from the neighbour. Triangles
+//! are positively oriented in (x, y). The mesh knows points and the metric, never
+//! heights. A constrained edge is never flipped, only split.
+
+use crate::predicate::{orient2d, Metric, Point};
+
+/// "No half-edge": the twin of an edge of the rectangle's border.
+pub const NONE: u32 = u32::MAX;
+const VOID: u32 = 1 << 3;
+
+/// One triangle and its three half-edges.
+#[derive(Clone, Copy, Debug)]
+pub struct Triangle {
+    pub v: [u32; 3],
+    pub twin: [u32; 3],
+    /// Bits 0-2: edge k is constrained; bit 3: the triangle covers void.
+    flags: u32,
+    /// Counts the changes of the triangle, so that queue entries can grow stale.
+    pub version: u32,
+}
+
+impl Triangle {
+    fn new(v: [u32; 3], void: u32) -> Self {
+        Triangle { v, twin: [NONE; 3], flags: void, version: 0 }
+    }
+
+    pub fn is_void(&self) -> bool {
+        self.flags & VOID != 0
+    }
+
+    pub fn is_constrained(&self, k: usize) -> bool {
+        self.flags >> k & 1 != 0
+    }
+}
+
+/// Where a point fell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Location {
+    Face(u32),
+    Edge(u32),
+    Vertex(u32),
+}
+
+#[inline]
+pub fn next(h: u32) -> u32 {
+    if h & 3 == 2 {
+        h - 2
+    } else {
+        h + 1
+    }
+}
+
+#[inline]
+pub fn prev(h: u32) -> u32 {
+    if h & 3 == 0 {
+        h + 2
+    } else {
+        h - 1
+    }
+}
+
+#[inline]
+pub fn half_edge(t: u32, k: u32) -> u32 {
+    t << 2 | k
+}
+
+#[inline]
+pub fn triangle_of(h: u32) -> u32 {
+    h >> 2
+}
+
+pub struct Mesh {
+    points: Vec<Point>,
+    triangles: Vec<Triangle>,
+    metric: Metric,
+    /// Edges still to be looked at by [`Mesh::legalise`].
+    pending: Vec<u32>,
+    /// Triangles changed since [`Mesh::take_touched`].
+    touched: Vec<u32>,
+}
+
+impl Mesh {
+    /// Two triangles over the rectangle from the centre of pixel (0, 0) to that of
+    /// (`cols` - 1, `rows` - 1); both at least 2. Corner order: clockwise from (0, 0).
+    pub fn rectangle(cols: usize, rows: usize, metric: Metric) -> Self {
+        let (right, bottom) = (cols - 1, rows - 1);
+        let corners = [(0, 0), (right, 0), (right, bottom), (0, bottom)];
+        let mut mesh = Mesh {
+            points: corners.iter().map(|&(col, row)| Point::pixel(col, row)).collect(),
+            triangles: vec![Triangle::new([0, 1, 2], 0), Triangle::new([0, 2, 3], 0)],
+            metric,
+            pending: Vec::new(),
+            touched: vec![0, 1],
+        };
+        mesh.link(half_edge(0, 2), half_edge(1, 0));
+        mesh.pending.push(half_edge(0, 2));
+        mesh.legalise();
+        mesh
+    }
+
+    pub fn points(&self) -> &[Point] {
+        &self.points
+    }
+
+    pub fn triangles(&self) -> &[Triangle] {
+        &self.triangles
+    }
+
+    pub fn metric(&self) -> Metric {
+        self.metric
+    }
+
+    #[inline]
+    pub fn triangle(&self, t: u32) -> &Triangle {
+        &self.triangles[t as usize]
+    }
+
+    #[inline]
+    pub fn corners(&self, t: u32) -> [Point; 3] {
+        self.triangle(t).v.map(|v| self.points[v as usize])
+    }
+
+    #[inline]
+    pub fn point(&self, v: u32) -> Point {
+        self.points[v as usize]
+    }
+
+    #[inline]
+    pub fn origin(&self, h: u32) -> u32 {
+        self.triangle(triangle_of(h)).v[(h & 3) as usize]
+    }
+
+    #[inline]
+    pub fn dest(&self, h: u32) -> u32 {
+        self.origin(next(h))
+    }
+
+    /// The corner opposite to the edge.
+    #[inline]
+    pub fn apex(&self, h: u32) -> u32 {
+        self.origin(prev(h))
+    }
+
+    #[inline]
+    pub fn twin(&self, h: u32) -> u32 {
+        self.triangle(triangle_of(h)).twin[(h & 3) as usize]
+    }
+
+    #[inline]
+    pub fn is_constrained(&self, h: u32) -> bool {
+        self.triangle(triangle_of(h)).is_constrained((h & 3) as usize)
+    }
+
+    /// Marks or releases the edge on both sides.
+    pub fn set_constrained(&mut self, h: u32, on: bool) {
+        for side in [h, self.twin(h)] {
+            if side != NONE {
+                let flags = &mut self.triangles[triangle_of(side) as usize].flags;
+                let bit = 1 << (side & 3);
+                *flags = if on { *flags | bit } else { *flags & !bit };
+            }
+        }
+    }
+
+    pub fn set_void(&mut self, t: u32, on: bool) {
+        let flags = &mut self.triangles[t as usize].flags;
+        *flags = if on { *flags | VOID } else { *flags & !VOID };
+    }
+
+    /// Triangles changed since the last call, each once, ascending; their
+    /// versions have been counted up.
+    pub fn take_touched(&mut self, into: &mut Vec<u32>) {
+        into.clear();
+        into.append(&mut self.touched);
+        into.sort_unstable();
+        into.dedup();
+        for &t in into.iter() {
+            let version = &mut self.triangles[t as usize].version;
+            *version = version.wrapping_add(1);
+        }
+    }
+
+    /// Walks from triangle `start` to the place of `p`, which lies in the rectangle.
+    pub fn locate(&self, p: Point, start: u32) -> Location {
+        let mut t = start;
+        // Changing the first edge looked at keeps the walk from cycling in a
+        // constrained (not Delaunay) triangulation.
+        let mut turn: u32 = 0;
+        'walk: loop {
+            let corner = self.corners(t);
+            turn = turn.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let first = (turn >> 16) % 3;
+            let mut on_edge = [false; 3];
+            for i in 0..3 {
+                let k = ((first + i) % 3) as usize;
+                let side = orient2d(corner[k], corner[(k + 1) % 3], p);
+                let twin = self.triangle(t).twin[k];
+                if side < 0 && twin != NONE {
+                    t = triangle_of(twin);
+                    continue 'walk;
+                }
+                on_edge[k] = side == 0;
+            }
+            return self.place(t, on_edge);
+        }
+    }
+
+    /// The place of `p` in triangle `t`, which holds it.
+    fn place_in(&self, p: Point, t: u32) -> Location {
+        let c = self.corners(t);
+        self.place(t, [0, 1, 2].map(|k| orient2d(c[k], c[(k + 1) % 3], p) == 0))
+    }
+
+    fn place(&self, t: u32, on_edge: [bool; 3]) -> Location {
+        match on_edge {
+            [true, true, _] => Location::Vertex(self.triangle(t).v[1]),
+            [_, true, true] => Location::Vertex(self.triangle(t).v[2]),
+            [true, _, true] => Location::Vertex(self.triangle(t).v[0]),
+            [true, _, _] => Location::Edge(half_edge(t, 0)),
+            [_, true, _] => Location::Edge(half_edge(t, 1)),
+            [_, _, true] => Location::Edge(half_edge(t, 2)),
+            _ => Location::Face(t),
+        }
+    }
+
+    /// Inserts `p`, which lies in triangle `t`, and restores the Delaunay property.
+    /// Returns the vertex: a new one, or the one that already stands there.
+    pub fn insert_in(&mut self, p: Point, t: u32) -> u32 {
+        let place = self.place_in(p, t);
+        self.insert_at(p, place)
+    }
+
+    /// Inserts `p` anywhere in the rectangle, walking from triangle `start`.
+    pub fn insert(&mut self, p: Point, start: u32) -> u32 {
+        let place = self.locate(p, start);
+        self.insert_at(p, place)
+    }
+
+    fn insert_at(&mut self, p: Point, place: Location) -> u32 {
+        let vertex = self.points.len() as u32;
+        match place {
+            Location::Vertex(v) => return v,
+            Location::Face(t) => self.split_face(t, vertex),
+            Location::Edge(h) => self.split_edge(h, vertex),
+        }
+        self.points.push(p);
+        self.legalise();
+        vertex
+    }
+
+    fn link(&mut self, a: u32, b: u32) {
+        self.triangles[triangle_of(a) as usize].twin[(a & 3) as usize] = b;
+        if b != NONE {
+            self.triangles[triangle_of(b) as usize].twin[(b & 3) as usize] = a;
+        }
+    }
+
+    /// Gives edge `h` the outer neighbour and the constraint it has to take over.
+    fn attach(&mut self, h: u32, (twin, constrained): (u32, bool)) {
+        self.link(h, twin);
+        self.triangles[triangle_of(h) as usize].flags |= u32::from(constrained) << (h & 3);
+    }
+
+    fn outer(&self, h: u32) -> (u32, bool) {
+        (self.twin(h), self.is_constrained(h))
+    }
+
+    fn push_triangle(&mut self, v: [u32; 3], void: u32) -> u32 {
+        self.triangles.push(Triangle::new(v, void));
+        self.triangles.len() as u32 - 1
+    }
+
+    fn reset_triangle(&mut self, t: u32, v: [u32; 3]) {
+        let triangle = &mut self.triangles[t as usize];
+        triangle.v = v;
+        triangle.flags &= VOID;
+    }
+
+    /// Triangle (a, b, c) becomes (a, b, p), (b, c, p), (c, a, p).
+    fn split_face(&mut self, t: u32, p: u32) {
+        let [a, b, c] = self.triangle(t).v;
+        let outer = [0, 1, 2].map(|k| self.outer(half_edge(t, k)));
+        let void = self.triangle(t).flags & VOID;
+        self.reset_triangle(t, [a, b, p]);
+        let t1 = self.push_triangle([b, c, p], void);
+        let t2 = self.push_triangle([c, a, p], void);
+        for (new, outer) in [t, t1, t2].into_iter().zip(outer) {
+            self.attach(half_edge(new, 0), outer);
+            self.pending.push(half_edge(new, 0));
+            self.touched.push(new);
+        }
+        self.link(half_edge(t, 1), half_edge(t1, 2));
+        self.link(half_edge(t1, 1), half_edge(t2, 2));
+        self.link(half_edge(t2, 1), half_edge(t, 2));
+    }
+
+    /// Cuts the triangle on one side of edge a-b at `p` into (c, a, p) and (b, c, p);
+    /// returns the half-edges a-p and p-b.
+    fn split_side(&mut self, h: u32, p: u32) -> (u32, u32) {
+        let t = triangle_of(h);
+        let (a, b, c) = (self.origin(h), self.dest(h), self.apex(h));
+        let (bc, ca) = (self.outer(next(h)), self.outer(prev(h)));
+        let constrained = self.is_constrained(h);
+        let void = self.triangle(t).flags & VOID;
+        self.reset_triangle(t, [c, a, p]);
+        let t1 = self.push_triangle([b, c, p], void);
+        for (new, outer) in [(t, ca), (t1, bc)] {
+            self.attach(half_edge(new, 0), outer);
+            self.pending.push(half_edge(new, 0));
+            self.touched.push(new);
+        }
+        self.link(half_edge(t, 2), half_edge(t1, 1));
+        let halves = (half_edge(t, 1), half_edge(t1, 2));
+        self.attach(halves.0, (NONE, constrained));
+        self.attach(halves.1, (NONE, constrained));
+        halves
+    }
+
+    fn split_edge(&mut self, h: u32, p: u32) {
+        let twin = self.twin(h);
+        let (ap, pb) = self.split_side(h, p);
+        if twin != NONE {
+            let (bp, pa) = self.split_side(twin, p);
+            self.link(ap, pa);
+            self.link(pb, bp);
+        }
+    }
+
+    /// Whether edge `h` may be flipped and is not Delaunay.
+    pub fn is_illegal(&self, h: u32) -> bool {
+        let twin = self.twin(h);
+        if twin == NONE || self.is_constrained(h) {
+            return false;
+        }
+        let [a, b, c] = self.corners(triangle_of(h));
+        self.metric.in_circle(a, b, c, self.point(self.apex(twin)))
+    }
+
+    fn legalise(&mut self) {
+        while let Some(h) = self.pending.pop() {
+            if self.is_illegal(h) {
+                self.flip(h);
+                // After a flip the far edges of both triangles stand at position 1.
+                self.pending.push(half_edge(triangle_of(h), 1));
+                let other = triangle_of(self.twin(half_edge(triangle_of(h), 2)));
+                self.pending.push(half_edge(other, 1));
+            }
+        }
+    }
+
+    /// Replaces interior edge a-b of the quadrilateral a, d, b, c by d-c. Triangle
+    /// `t` of `h` becomes (c, a, d), that of the twin (c, d, b). The quadrilateral
+    /// must be strictly convex and both triangles of one class.
+    pub fn flip(&mut self, h: u32) {
+        let g = self.twin(h);
+        let (t, u) = (triangle_of(h), triangle_of(g));
+        let (a, b, c, d) = (self.origin(h), self.dest(h), self.apex(h), self.apex(g));
+        let (bc, ca) = (self.outer(next(h)), self.outer(prev(h)));
+        let (ad, db) = (self.outer(next(g)), self.outer(prev(g)));
+        self.reset_triangle(t, [c, a, d]);
+        self.reset_triangle(u, [c, d, b]);
+        self.attach(half_edge(t, 0), ca);
+        self.attach(half_edge(t, 1), ad);
+        self.attach(half_edge(u, 1), db);
+        self.attach(half_edge(u, 2), bc);
+        self.link(half_edge(t, 2), half_edge(u, 0));
+        self.touched.push(t);
+        self.touched.push(u);
+    }
+
+    /// Whether the quadrilateral around interior edge `h` is strictly convex.
+    pub fn is_convex(&self, h: u32) -> bool {
+        let (a, b) = (self.point(self.origin(h)), self.point(self.dest(h)));
+        let (c, d) = (self.point(self.apex(h)), self.point(self.apex(self.twin(h))));
+        orient2d(c, a, d) > 0 && orient2d(c, d, b) > 0
+    }
+}

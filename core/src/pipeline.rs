@@ -1,0 +1,217 @@
+//! From heights to a mesh: the stages in their order, each a switch of its own.
+
+use crate::error::{Error, Result};
+use crate::fit::{fit_heights, flip_pass};
+use crate::grid::{Grid, Height};
+use crate::mesh::Mesh;
+use crate::outline::outline_mesh;
+use crate::predicate::Metric;
+use crate::progress::Progress;
+use crate::refine::{Refiner, Rule, Stop};
+use crate::scale::{centre_weight, choose, gaussian, mean_squared_difference, noise, spikes};
+
+/// Which smoothed images are refined, coarse to fine.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Scales {
+    /// One, chosen by Stein's estimate of the risk.
+    Auto,
+    /// Standard deviations in pixels, [along x, along y]; 0 is the image itself.
+    Given(Vec<[f64; 2]>),
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// Number of vertices to stop at; the outline alone may need more.
+    pub max_points: usize,
+    /// New vertices at most in each scale.
+    pub points_per_scale: usize,
+    pub rule: Rule,
+    pub scales: Scales,
+    pub despike: bool,
+    pub fit: bool,
+    /// Rounds of error-lowering edge flips, each followed by a fit.
+    pub flips: u32,
+    /// Pixels (column, row) that are vertices from the start (P_I of Algorithm 1).
+    pub initial: Vec<(usize, usize)>,
+}
+
+/// What was done on the way.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Report {
+    pub stop: Stop,
+    /// Estimated standard deviation of the noise, after despiking.
+    pub noise: f64,
+    /// Pixels replaced by despiking, as `row * cols + col`.
+    pub spikes: Vec<usize>,
+    /// Standard deviations of the scales refined, in pixels.
+    pub scales: Vec<[f64; 2]>,
+    /// Whether the mesh is (constrained) Delaunay: no error-lowering flips were made.
+    pub delaunay: bool,
+}
+
+pub struct Triangulation {
+    pub mesh: Mesh,
+    /// Height of every vertex; NaN for scaffolding that only void triangles use.
+    pub z: Vec<f64>,
+    pub report: Report,
+}
+
+/// The image the mesh is made to follow, after despiking, and its smoothed forms.
+struct Images<T> {
+    data: Vec<T>,
+    spikes: Vec<usize>,
+    noise: f64,
+}
+
+/// Runs the method. Errors: `too-small`, `too-large`, `no-area`, `bad-option`,
+/// `cancelled`.
+pub fn triangulate<T: Height>(
+    grid: &Grid<T>,
+    metric: Metric,
+    options: &Options,
+    progress: &mut Progress,
+) -> Result<Triangulation> {
+    validate(options)?;
+    progress.stage("outline")?;
+    let mesh = outline_mesh(grid, metric)?;
+    let Images { data, spikes, noise } = prepare(grid, options, progress)?;
+    let data = Grid::new(&data, grid.rows(), grid.cols())?;
+
+    progress.stage("smooth")?;
+    let bounded = options.rule.tolerance > 0.0 && options.rule.bound == 1.0;
+    let (mut scales, mut finest) = match &options.scales {
+        // A bound on the error counts against the data, so nothing is smoothed away.
+        Scales::Auto if bounded => (vec![[0.0; 2]], data.z().to_vec()),
+        Scales::Auto => {
+            let smooth = choose(&data, noise, progress)?;
+            (vec![[smooth.sigma; 2]], smooth.z)
+        }
+        Scales::Given(sigmas) => (sigmas.clone(), gaussian(&data, sigmas[0], progress)?),
+    };
+    if bounded && scales.last() != Some(&[0.0; 2]) {
+        scales.push([0.0; 2]);
+    }
+
+    let mut refiner = Refiner::new(mesh, &Grid::new(&finest, grid.rows(), grid.cols())?);
+    for &(col, row) in &options.initial {
+        let z = finest[row * grid.cols() + col].to_f64();
+        if !z.is_nan() {
+            refiner.insert(col, row, z);
+        }
+    }
+    let mut stop = Stop::Tolerance;
+    for (i, &sigma) in scales.iter().enumerate() {
+        if i > 0 {
+            progress.stage("smooth")?;
+            finest = gaussian(&data, sigma, progress)?;
+        }
+        progress.stage("refine")?;
+        let limit = options.max_points.min(refiner.count().saturating_add(options.points_per_scale));
+        stop = refiner.run(&Grid::new(&finest, grid.rows(), grid.cols())?, &options.rule, limit, progress)?;
+    }
+
+    let mut delaunay = true;
+    if options.fit || options.flips > 0 {
+        blend(&mut finest, data.z(), noise, scales[scales.len() - 1]);
+        let target = Grid::new(&finest, grid.rows(), grid.cols())?;
+        delaunay = improve(&mut refiner, &target, options, progress)?;
+        if bounded {
+            stop = restore_bound(&mut refiner, &data, options, progress)?;
+        }
+    }
+    let report = Report { stop, noise, spikes, scales, delaunay };
+    Ok(Triangulation { mesh: refiner.mesh, z: refiner.z, report })
+}
+
+fn validate(options: &Options) -> Result<()> {
+    let Rule { priority, weight, candidate, tolerance, bound } = options.rule;
+    let quantile = |q: f64| q > 0.0 && q <= 1.0;
+    let bad = |message: &str| Err(Error::option("bad-option", message));
+    if ![priority, candidate, bound].into_iter().all(quantile) {
+        return bad("a quantile must lie in (0, 1]");
+    }
+    if !(weight.is_finite() && tolerance.is_finite() && tolerance >= 0.0) {
+        return bad("the tolerance must be a finite number, 0 or more");
+    }
+    if let Scales::Given(sigmas) = &options.scales {
+        if sigmas.is_empty() || !sigmas.iter().flatten().all(|s| (0.0..=1000.0).contains(s)) {
+            return bad("scales must be given and lie between 0 and 1000 pixels");
+        }
+    }
+    Ok(())
+}
+
+fn prepare<T: Height>(grid: &Grid<T>, options: &Options, progress: &mut Progress) -> Result<Images<T>> {
+    let mut data = grid.z().to_vec();
+    let mut removed = Vec::new();
+    if options.despike {
+        progress.stage("despike")?;
+        for (pixel, z) in spikes(grid, noise(grid), progress)? {
+            data[pixel] = z;
+            removed.push(pixel);
+        }
+    }
+    let noise = noise(&Grid::new(&data, grid.rows(), grid.cols())?);
+    Ok(Images { data, spikes: removed, noise })
+}
+
+/// Turns the smoothed image into w data + (1 - w) smoothed, w by Stein's estimate:
+/// 1 - w = noise^2 (1 - h0) / mean(r^2).
+fn blend<T: Height>(smooth: &mut [T], data: &[T], noise: f64, sigma: [f64; 2]) {
+    let residual = mean_squared_difference(smooth, data);
+    if residual == 0.0 {
+        return;
+    }
+    let share = (noise * noise * (1.0 - centre_weight(sigma)) / residual).clamp(0.0, 1.0);
+    for (smooth, data) in smooth.iter_mut().zip(data) {
+        *smooth = T::from_f64(share * smooth.to_f64() + (1.0 - share) * data.to_f64());
+    }
+}
+
+/// Fits heights, then flips and fits again; whether the mesh is still Delaunay.
+fn improve<T: Height>(
+    refiner: &mut Refiner,
+    target: &Grid<T>,
+    options: &Options,
+    progress: &mut Progress,
+) -> Result<bool> {
+    let mut delaunay = true;
+    if options.fit {
+        progress.stage("fit")?;
+        fit_heights(&refiner.mesh, &mut refiner.z, target, progress)?;
+    }
+    for _ in 0..options.flips {
+        progress.stage("flip")?;
+        let flips = flip_pass(&mut refiner.mesh, &refiner.z, target, progress)?;
+        delaunay &= flips == 0;
+        if options.fit {
+            progress.stage("fit")?;
+            fit_heights(&refiner.mesh, &mut refiner.z, target, progress)?;
+        }
+        if flips == 0 {
+            break;
+        }
+    }
+    Ok(delaunay)
+}
+
+/// Brings every pixel of `data` back within the tolerance: vertices are moved to
+/// the edge of their pixel's band, and points are inserted where that is not enough.
+fn restore_bound<T: Height>(
+    refiner: &mut Refiner,
+    data: &Grid<T>,
+    options: &Options,
+    progress: &mut Progress,
+) -> Result<Stop> {
+    let tolerance = options.rule.tolerance;
+    for v in 0..refiner.z.len() {
+        if let Some((col, row)) = refiner.mesh.point(v as u32).as_pixel() {
+            let z = data.at(col, row);
+            if !z.is_nan() {
+                refiner.z[v] = refiner.z[v].clamp(z - tolerance, z + tolerance);
+            }
+        }
+    }
+    progress.stage("refine")?;
+    refiner.run(data, &options.rule, options.max_points, progress)
+}

@@ -1,0 +1,180 @@
+//! Greedy refinement: Algorithm 1 of the paper with two free quantiles.
+//!
+//! In every triangle the errors |z - plane| of its pixels (closed triangle,
+//! corners excluded) are taken. Their quantile `priority` times count^`weight`
+//! tells how urgent the triangle is; the pixel at the quantile `candidate` is
+//! what is inserted. The paper's metric is (0.5, 0, 0.5), Garland and Heckbert's
+//! is (1, 0, 1).
+
+use crate::error::Result;
+use crate::grid::{Grid, Height};
+use crate::mesh::Mesh;
+use crate::predicate::Point;
+use crate::progress::Progress;
+use crate::queue::{Candidate, Queue};
+use crate::scan::{for_each_pixel, worst, Corners};
+
+/// How triangles are ranked, what is inserted and when to stop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rule {
+    /// Quantile of a triangle's errors that ranks it, in (0, 1].
+    pub priority: f64,
+    /// The rank is multiplied by (number of pixels)^weight.
+    pub weight: f64,
+    /// Quantile at which the pixel to insert stands, in (0, 1].
+    pub candidate: f64,
+    /// A triangle is left alone when the quantile `bound` of its errors is at or
+    /// under `tolerance`.
+    pub tolerance: f64,
+    pub bound: f64,
+}
+
+/// Why refinement ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stop {
+    /// The number of points was reached.
+    Points,
+    /// Every triangle is within the tolerance.
+    Tolerance,
+}
+
+/// Share of the worst error added to a quantile priority: it only parts ties,
+/// above all among triangles whose median error is zero.
+const TIE_BREAK: f64 = 1e-9;
+
+/// Index of the quantile `q` among `n` sorted errors; 0.5 gives the lower median.
+pub fn quantile_index(n: usize, q: f64) -> usize {
+    ((n - 1) as f64 * q).floor() as usize
+}
+
+/// A mesh being refined over changing images; heights belong to its vertices.
+pub struct Refiner {
+    pub mesh: Mesh,
+    /// Height of every vertex; NaN for scaffolding on void pixels.
+    pub z: Vec<f64>,
+    queue: Queue,
+    errors: Vec<f64>,
+    touched: Vec<u32>,
+    /// Vertices without data, which do not count as points.
+    scaffolding: usize,
+}
+
+impl Refiner {
+    /// Takes over `mesh`, whose vertices are pixels of `grid` and get its heights.
+    pub fn new<T: Height>(mesh: Mesh, grid: &Grid<T>) -> Self {
+        let height = |p: &Point| p.as_pixel().map_or(f64::NAN, |(col, row)| grid.at(col, row));
+        let z: Vec<f64> = mesh.points().iter().map(height).collect();
+        let scaffolding = z.iter().filter(|z| z.is_nan()).count();
+        Refiner { mesh, z, queue: Queue::default(), errors: Vec::new(), touched: Vec::new(), scaffolding }
+    }
+
+    /// Number of vertices that carry a height.
+    pub fn count(&self) -> usize {
+        self.z.len() - self.scaffolding
+    }
+
+    /// Heights of the corners of triangle `t`.
+    pub fn heights(&self, t: u32) -> [f64; 3] {
+        self.mesh.triangle(t).v.map(|v| self.z[v as usize])
+    }
+
+    /// Inserts pixel (`col`, `row`) with height `z`, walking from the newest triangle.
+    pub fn insert(&mut self, col: usize, row: usize, z: f64) {
+        let start = self.mesh.triangles().len() as u32 - 1;
+        let vertex = self.mesh.insert(Point::pixel(col, row), start) as usize;
+        if vertex == self.z.len() {
+            self.z.push(z);
+        }
+    }
+
+    /// Algorithm 1 on `grid`, starting from the mesh as it stands, until there are
+    /// `max_points` vertices or every triangle satisfies the rule's tolerance.
+    pub fn run<T: Height>(
+        &mut self,
+        grid: &Grid<T>,
+        rule: &Rule,
+        max_points: usize,
+        progress: &mut Progress,
+    ) -> Result<Stop> {
+        self.queue.clear();
+        self.mesh.take_touched(&mut self.touched);
+        for t in 0..self.mesh.triangles().len() as u32 {
+            let work = self.enqueue(grid, rule, t);
+            progress.poll(work, || 0.0)?;
+        }
+        let (start, mut first_priority) = (self.count(), None);
+        while self.count() < max_points {
+            let mesh = &self.mesh;
+            let Some(best) = self.queue.pop(|c| mesh.triangle(c.triangle).version == c.version) else {
+                return Ok(Stop::Tolerance);
+            };
+            let cols = grid.cols() as u64;
+            let (col, row) = ((best.pixel % cols) as usize, (best.pixel / cols) as usize);
+            self.mesh.insert_in(Point::pixel(col, row), best.triangle);
+            self.z.push(grid.at(col, row));
+            self.mesh.take_touched(&mut self.touched);
+            let mut work = 64;
+            for i in 0..self.touched.len() {
+                work += self.enqueue(grid, rule, self.touched[i]);
+            }
+            let first = *first_priority.get_or_insert(best.priority);
+            let (count, tolerance) = (self.count(), rule.tolerance);
+            progress.poll(work, || {
+                let by_points = (count - start) as f64 / (max_points - start) as f64;
+                let by_error = (first / best.priority).ln() / (first / tolerance).ln();
+                by_points.max(if by_error.is_finite() { by_error } else { 0.0 })
+            })?;
+        }
+        Ok(Stop::Points)
+    }
+
+    /// Scans triangle `t` and queues its candidate unless it is within the
+    /// tolerance. Returns the work done in pixels.
+    fn enqueue<T: Height>(&mut self, grid: &Grid<T>, rule: &Rule, t: u32) -> usize {
+        let triangle = self.mesh.triangle(t);
+        if triangle.is_void() {
+            return 0;
+        }
+        let version = triangle.version;
+        let (p, z) = (self.mesh.corners(t), self.heights(t));
+        let worst = worst(grid, p, z, Corners::Excluded);
+        // The maximum bounds every quantile.
+        if worst.error < 0.0 || (worst.error <= rule.tolerance && rule.tolerance > 0.0) {
+            return worst.count;
+        }
+        let (mut priority, mut col, mut row) = (worst.error, worst.col, worst.row);
+        if rule.priority < 1.0 || rule.candidate < 1.0 || rule.bound < 1.0 {
+            self.errors.clear();
+            let errors = &mut self.errors;
+            for_each_pixel(grid, p, z, Corners::Excluded, |_, _, z, plane| errors.push((z - plane).abs()));
+            if select(errors, rule.bound) <= rule.tolerance && rule.tolerance > 0.0 {
+                return 2 * worst.count;
+            }
+            if rule.candidate < 1.0 {
+                let at = select(errors, rule.candidate);
+                let mut found = false;
+                for_each_pixel(grid, p, z, Corners::Excluded, |c, r, z, plane| {
+                    if !found && (z - plane).abs() == at {
+                        (col, row, found) = (c, r, true);
+                    }
+                });
+            }
+            priority = select(errors, rule.priority);
+        }
+        if rule.weight != 0.0 {
+            priority *= (worst.count as f64).powf(rule.weight);
+        }
+        if rule.candidate == 1.0 && rule.priority < 1.0 {
+            priority += TIE_BREAK * worst.error;
+        }
+        let pixel = row as u64 * grid.cols() as u64 + col as u64;
+        self.queue.push(Candidate { priority, pixel, triangle: t, version });
+        2 * worst.count
+    }
+}
+
+/// The quantile `q` of `errors`, which it reorders.
+fn select(errors: &mut [f64], q: f64) -> f64 {
+    let index = quantile_index(errors.len(), q);
+    *errors.select_nth_unstable_by(index, f64::total_cmp).1
+}

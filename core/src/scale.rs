@@ -1,0 +1,218 @@
+//! Noise, spikes and the Gaussian scale space; voids neither darken nor leak.
+
+use crate::error::Result;
+use crate::grid::{Grid, Height};
+use crate::progress::Progress;
+
+/// Gaussian kernels are cut off at this many standard deviations.
+const TRUNCATE: f64 = 4.0;
+/// The largest number of samples a robust statistic looks at.
+const MAX_SAMPLES: usize = 1 << 22;
+/// sigma = 1.4826 MAD for normally distributed errors.
+const MAD_TO_SIGMA: f64 = 1.4826;
+
+/// Standard deviation of the noise: 1.4826 times the median of
+/// |[1 -2 1] x [1 -2 1]| / 6 over pixels with a complete neighbourhood
+/// (Immerkaer 1996, made robust). 0 where there is no such pixel.
+pub fn noise<T: Height>(grid: &Grid<T>) -> f64 {
+    let step = 1 + grid.z().len() / MAX_SAMPLES;
+    let mut residuals = Vec::new();
+    for row in (1..grid.rows() - 1).step_by(step) {
+        let [a, b, c] = [grid.row(row - 1), grid.row(row), grid.row(row + 1)];
+        for col in 1..grid.cols() - 1 {
+            let second = |r: &[T]| r[col - 1].to_f64() - 2.0 * r[col].to_f64() + r[col + 1].to_f64();
+            let residual = second(a) - 2.0 * second(b) + second(c);
+            if !residual.is_nan() {
+                residuals.push(residual.abs());
+            }
+        }
+    }
+    MAD_TO_SIGMA / 6.0 * median(&mut residuals).unwrap_or(0.0)
+}
+
+fn median(values: &mut [f64]) -> Option<f64> {
+    quantile(values, 0.5)
+}
+
+fn quantile(values: &mut [f64], q: f64) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    let index = ((values.len() - 1) as f64 * q) as usize;
+    Some(*values.select_nth_unstable_by(index, f64::total_cmp).1)
+}
+
+/// Differences below this share of the range of the heights are never spikes.
+const SPIKE_FLOOR: f64 = 2e-3;
+/// A spike needs this many valid neighbours to be recognised.
+const MIN_NEIGHBOURS: usize = 5;
+
+/// Pixels that stand out of their neighbourhood, with the height they get.
+///
+/// A pixel is a spike if it lies outside the second smallest and second largest of
+/// its neighbours by more than half their spread plus max(4 `noise`, a floor); it
+/// takes the neighbours' median.
+pub fn spikes<T: Height>(grid: &Grid<T>, noise: f64, progress: &mut Progress) -> Result<Vec<(usize, T)>> {
+    let step = 1 + grid.z().len() / MAX_SAMPLES;
+    let mut sample: Vec<f64> =
+        grid.z().iter().step_by(step).map(|z| z.to_f64()).filter(|z| !z.is_nan()).collect();
+    let high = quantile(&mut sample, 0.99).unwrap_or(0.0);
+    let low = quantile(&mut sample, 0.01).unwrap_or(0.0);
+    let margin = (4.0 * noise).max(SPIKE_FLOOR * (high - low));
+    let mut found = Vec::new();
+    let mut around = Vec::with_capacity(8);
+    for row in 0..grid.rows() {
+        progress.poll(4 * grid.cols(), || row as f64 / grid.rows() as f64)?;
+        for col in 0..grid.cols() {
+            let z = grid.at(col, row);
+            if z.is_nan() || !stands_out(grid, col, row, z, margin) {
+                continue;
+            }
+            neighbours(grid, col, row, &mut around);
+            if around.len() < MIN_NEIGHBOURS {
+                continue;
+            }
+            around.sort_unstable_by(f64::total_cmp);
+            let (low, high) = (around[1], around[around.len() - 2]);
+            if (z - high).max(low - z) > 0.5 * (high - low) + margin {
+                let n = around.len();
+                let middle = 0.5 * (around[(n - 1) / 2] + around[n / 2]);
+                found.push((row * grid.cols() + col, T::from_f64(middle)));
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// Cheap necessary condition: a spike differs by more than `margin` from at least
+/// one of its neighbours along the row and one along the column.
+fn stands_out<T: Height>(grid: &Grid<T>, col: usize, row: usize, z: f64, margin: f64) -> bool {
+    let differs = |c: usize, r: usize| (grid.at(c, r) - z).abs() > margin;
+    (col == 0 || differs(col - 1, row) || col + 1 == grid.cols() || differs(col + 1, row))
+        && (row == 0 || differs(col, row - 1) || row + 1 == grid.rows() || differs(col, row + 1))
+}
+
+fn neighbours<T: Height>(grid: &Grid<T>, col: usize, row: usize, into: &mut Vec<f64>) {
+    into.clear();
+    for r in row.saturating_sub(1)..=(row + 1).min(grid.rows() - 1) {
+        for c in col.saturating_sub(1)..=(col + 1).min(grid.cols() - 1) {
+            let z = grid.at(c, r);
+            if (c, r) != (col, row) && !z.is_nan() {
+                into.push(z);
+            }
+        }
+    }
+}
+
+/// Sampled Gaussian of standard deviation `sigma` pixels, sum 1.
+fn kernel(sigma: f64) -> Vec<f64> {
+    let radius = (TRUNCATE * sigma + 0.5) as i64;
+    let weight = |k: i64| if k == 0 { 1.0 } else { (-0.5 * (k as f64 / sigma).powi(2)).exp() };
+    let total: f64 = (-radius..=radius).map(weight).sum();
+    (-radius..=radius).map(|k| weight(k) / total).collect()
+}
+
+/// Weight of a pixel in its own smoothed value.
+pub fn centre_weight(sigma: [f64; 2]) -> f64 {
+    sigma
+        .iter()
+        .map(|&s| {
+            let k = kernel(s);
+            k[k.len() / 2]
+        })
+        .product()
+}
+
+/// The image at scale t = sigma^2: normalised convolution with a Gaussian of
+/// `sigma` = [along columns' direction (x), along rows' direction (y)] pixels. Void
+/// stays void and has no weight; so has what lies beyond the border.
+pub fn gaussian<T: Height>(grid: &Grid<T>, sigma: [f64; 2], progress: &mut Progress) -> Result<Vec<T>> {
+    if sigma == [0.0, 0.0] {
+        return Ok(grid.z().to_vec());
+    }
+    let [kx, ky] = sigma.map(kernel);
+    let (rx, ry) = (kx.len() / 2, ky.len() / 2);
+    let (rows, cols) = (grid.rows(), grid.cols());
+    let mut sum = vec![0.0; cols + 2 * rx];
+    let mut mass = vec![0.0; cols + 2 * rx];
+    let mut line = vec![(0.0, 0.0); cols];
+    let mut smooth = Vec::with_capacity(grid.z().len());
+    for row in 0..rows {
+        progress.poll(cols * (kx.len() + ky.len()) / 4, || row as f64 / rows as f64)?;
+        sum[rx..rx + cols].fill(0.0);
+        mass[rx..rx + cols].fill(0.0);
+        for (r, &w) in (row as i64 - ry as i64..).zip(&ky) {
+            if r < 0 || r >= rows as i64 {
+                continue;
+            }
+            let into = sum[rx..rx + cols].iter_mut().zip(&mut mass[rx..rx + cols]);
+            for ((sum, mass), z) in into.zip(grid.row(r as usize)) {
+                let z = z.to_f64();
+                let known = !z.is_nan();
+                *sum += if known { w * z } else { 0.0 };
+                *mass += if known { w } else { 0.0 };
+            }
+        }
+        line.fill((0.0, 0.0));
+        for (shift, &w) in kx.iter().enumerate() {
+            let from = sum[shift..shift + cols].iter().zip(&mass[shift..shift + cols]);
+            for (into, (sum, mass)) in line.iter_mut().zip(from) {
+                into.0 += w * sum;
+                into.1 += w * mass;
+            }
+        }
+        smooth.extend(line.iter().zip(grid.row(row)).map(|(&(sum, mass), &z)| {
+            if z.to_f64().is_nan() {
+                z
+            } else {
+                T::from_f64(sum / mass)
+            }
+        }));
+    }
+    Ok(smooth)
+}
+
+/// The standard deviations tried by [`choose`], in pixels.
+const SIGMAS: [f64; 11] = [0.0, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2, 3.0, 4.0];
+
+/// A smoothed image and how it was made.
+pub struct Smooth<T> {
+    pub z: Vec<T>,
+    /// Standard deviation in pixels.
+    pub sigma: f64,
+    /// Mean squared difference from the image it was made of.
+    pub residual: f64,
+}
+
+/// The Gaussian image with the least unbiased estimate of the risk (Stein 1981),
+/// mean(r^2) - noise^2 + 2 noise^2 h0. The risk falls and then rises with sigma, so
+/// the search stops when it has risen.
+pub fn choose<T: Height>(grid: &Grid<T>, noise: f64, progress: &mut Progress) -> Result<Smooth<T>> {
+    let variance = noise * noise;
+    let mut best = Smooth { z: grid.z().to_vec(), sigma: 0.0, residual: 0.0 };
+    let mut least = variance;
+    for &sigma in &SIGMAS[1..] {
+        let z = gaussian(grid, [sigma, sigma], progress)?;
+        let residual = mean_squared_difference(&z, grid.z());
+        let risk = residual - variance + 2.0 * variance * centre_weight([sigma, sigma]);
+        if risk >= least {
+            break;
+        }
+        least = risk;
+        best = Smooth { z, sigma, residual };
+    }
+    Ok(best)
+}
+
+/// Over the pixels where both are valid; 0 without any.
+pub fn mean_squared_difference<T: Height>(a: &[T], b: &[T]) -> f64 {
+    let (mut sum, mut count) = (0.0, 0usize);
+    for (a, b) in a.iter().zip(b) {
+        let d = a.to_f64() - b.to_f64();
+        if !d.is_nan() {
+            sum += d * d;
+            count += 1;
+        }
+    }
+    sum / count.max(1) as f64
+}
