@@ -151,7 +151,8 @@ fn prepare<T: Height>(grid: &Grid<T>, options: &Options, progress: &mut Progress
             removed.push(pixel);
         }
     }
-    let noise = noise(&Grid::new(&data, grid.rows(), grid.cols())?);
+    let is_needed = options.scales == Scales::Auto || options.fit || options.flips > 0;
+    let noise = if is_needed { noise(&Grid::new(&data, grid.rows(), grid.cols())?) } else { 0.0 };
     Ok(Images { data, spikes: removed, noise })
 }
 

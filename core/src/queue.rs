@@ -1,4 +1,4 @@
-//! The queue of candidates: a lazy max-heap with a total order.
+//! The queue of candidates: lazy, bucketed by size, with a total order.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -39,30 +39,58 @@ impl PartialEq for Candidate {
 
 impl Eq for Candidate {}
 
-/// Entries whose triangle has changed are not removed but skipped when popped:
-/// cheaper than keeping an index into the heap up to date.
-#[derive(Default)]
+/// Bits of a priority that name its bucket: sign, exponent and three of the mantissa.
+const BUCKET_SHIFT: u32 = 52 - 3;
+const BUCKETS: usize = 1 << (64 - BUCKET_SHIFT);
+
+/// Entries whose triangle has changed are not removed but dropped when met. Only
+/// the bucket of the largest priorities is a heap; entries of the others wait
+/// unsorted, and most are stale by the time their bucket is opened. The order of
+/// popping is that of one big heap.
 pub struct Queue {
-    heap: BinaryHeap<Candidate>,
+    open: BinaryHeap<Candidate>,
+    waiting: Vec<Vec<Candidate>>,
+    /// The open bucket; entries at or above it go to the heap.
+    level: usize,
+}
+
+impl Default for Queue {
+    fn default() -> Self {
+        Queue { open: BinaryHeap::new(), waiting: vec![Vec::new(); BUCKETS / 2], level: BUCKETS / 2 }
+    }
 }
 
 impl Queue {
     pub fn clear(&mut self) {
-        self.heap.clear();
+        self.open.clear();
+        self.waiting.iter_mut().for_each(Vec::clear);
+        self.level = self.waiting.len();
     }
 
+    /// `candidate.priority` must be 0 or more.
+    #[inline]
     pub fn push(&mut self, candidate: Candidate) {
-        self.heap.push(candidate);
+        let bucket = (candidate.priority.to_bits() >> BUCKET_SHIFT) as usize;
+        if bucket >= self.level {
+            self.open.push(candidate);
+        } else {
+            self.waiting[bucket].push(candidate);
+        }
     }
 
     /// The greatest candidate that `is_current` accepts; stale ones are dropped.
     pub fn pop(&mut self, is_current: impl Fn(&Candidate) -> bool) -> Option<Candidate> {
-        while let Some(candidate) = self.heap.pop() {
-            if is_current(&candidate) {
-                return Some(candidate);
+        loop {
+            while let Some(candidate) = self.open.pop() {
+                if is_current(&candidate) {
+                    return Some(candidate);
+                }
             }
+            self.level = self.waiting[..self.level].iter().rposition(|bucket| !bucket.is_empty())?;
+            let mut bucket = std::mem::take(&mut self.waiting[self.level]);
+            bucket.retain(&is_current);
+            self.open = BinaryHeap::from(bucket);
         }
-        None
     }
 }
 

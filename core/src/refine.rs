@@ -53,7 +53,8 @@ pub struct Refiner {
     /// Height of every vertex; NaN for scaffolding on void pixels.
     pub z: Vec<f64>,
     queue: Queue,
-    errors: Vec<f64>,
+    /// Scratch: the bits of a triangle's errors.
+    errors: Vec<u64>,
     touched: Vec<u32>,
     /// Vertices without data, which do not count as points.
     scaffolding: usize,
@@ -146,7 +147,10 @@ impl Refiner {
         if rule.priority < 1.0 || rule.candidate < 1.0 || rule.bound < 1.0 {
             self.errors.clear();
             let errors = &mut self.errors;
-            for_each_pixel(grid, p, z, Corners::Excluded, |_, _, z, plane| errors.push((z - plane).abs()));
+            // Of numbers that are not negative the bits sort like the values.
+            for_each_pixel(grid, p, z, Corners::Excluded, |_, _, z, plane| {
+                errors.push((z - plane).abs().to_bits());
+            });
             if select(errors, rule.bound) <= rule.tolerance && rule.tolerance > 0.0 {
                 return 2 * worst.count;
             }
@@ -161,9 +165,11 @@ impl Refiner {
             }
             priority = select(errors, rule.priority);
         }
-        if rule.weight != 0.0 {
-            priority *= (worst.count as f64).powf(rule.weight);
-        }
+        priority *= match rule.weight {
+            0.0 => 1.0,
+            0.5 => (worst.count as f64).sqrt(),
+            weight => (worst.count as f64).powf(weight),
+        };
         if rule.candidate == 1.0 && rule.priority < 1.0 {
             priority += TIE_BREAK * worst.error;
         }
@@ -173,8 +179,8 @@ impl Refiner {
     }
 }
 
-/// The quantile `q` of `errors`, which it reorders.
-fn select(errors: &mut [f64], q: f64) -> f64 {
+/// The quantile `q` of the errors whose bits these are; reorders them.
+fn select(errors: &mut [u64], q: f64) -> f64 {
     let index = quantile_index(errors.len(), q);
-    *errors.select_nth_unstable_by(index, f64::total_cmp).1
+    f64::from_bits(*errors.select_nth_unstable(index).1)
 }

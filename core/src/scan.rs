@@ -16,17 +16,17 @@ pub struct Plane {
 impl Plane {
     #[inline]
     pub fn through(p: [Point; 3], z: [f64; 3]) -> Self {
-        let area = orient2d(p[0], p[1], p[2]) as f64;
+        let scale = f64::from(UNIT) / orient2d(p[0], p[1], p[2]) as f64;
         let (dz1, dz2) = (z[1] - z[0], z[2] - z[0]);
         let (x1, y1) = (f64::from(p[1].x - p[0].x), f64::from(p[1].y - p[0].y));
         let (x2, y2) = (f64::from(p[2].x - p[0].x), f64::from(p[2].y - p[0].y));
-        let unit = f64::from(UNIT);
+        let pixels = 1.0 / f64::from(UNIT);
         Plane {
-            col0: f64::from(p[0].x) / unit,
-            row0: f64::from(p[0].y) / unit,
+            col0: f64::from(p[0].x) * pixels,
+            row0: f64::from(p[0].y) * pixels,
             z0: z[0],
-            per_col: (dz1 * y2 - dz2 * y1) / area * unit,
-            per_row: (dz2 * x1 - dz1 * x2) / area * unit,
+            per_col: (dz1 * y2 - dz2 * y1) * scale,
+            per_row: (dz2 * x1 - dz1 * x2) * scale,
         }
     }
 
@@ -50,67 +50,116 @@ pub enum Corners {
 }
 
 /// Calls `visit(row, first, end)` for every row of pixel centres in the closed
-/// triangle `p` (positively oriented), columns `first..end`, rows ascending.
+/// triangle `p` (positively oriented): columns `first..end`, rows ascending.
 #[inline]
 pub fn for_each_span(p: [Point; 3], corners: Corners, mut visit: impl FnMut(usize, usize, usize)) {
-    let mut v = p;
-    v.sort_unstable_by_key(|q| (q.y, q.x));
-    let [top, mid, bottom] = v;
+    let [top, mid, bottom] = downwards(p);
     let first_row = (top.y + UNIT - 1) >> SUB_BITS;
     let last_row = bottom.y >> SUB_BITS;
     let mid_is_right = orient2d(top, bottom, mid) < 0;
+    // From this row on the lower of the two short edges bounds the triangle.
+    let turn_row = if bottom.y > mid.y { (mid.y + UNIT - 1) >> SUB_BITS } else { i32::MAX };
+    let skip = match corners {
+        Corners::Excluded => [top, mid, bottom].map(pixel_or_none),
+        Corners::Included => [NO_PIXEL; 3],
+    };
+    let mut long = Edge::new(top, bottom, first_row);
+    let mut short = if turn_row > first_row { Edge::new(top, mid, first_row) } else { long };
     for row in first_row..=last_row {
-        let y = row << SUB_BITS;
-        let long = Crossing::of(top, bottom, y);
-        let short = if y <= mid.y && mid.y > top.y {
-            Crossing::of(top, mid, y)
-        } else {
-            Crossing::of(mid, bottom, y)
-        };
-        let (left, right) = if mid_is_right { (long, short) } else { (short, long) };
+        if row == turn_row {
+            short = Edge::new(mid, bottom, row);
+        }
+        let (left, right) = if mid_is_right { (&long, &short) } else { (&short, &long) };
         let (mut first, mut last) = (left.ceil(), right.floor());
-        if corners == Corners::Excluded {
-            // A corner can only stand at an end of its row.
-            let is_corner = |col: i32| p.iter().any(|q| q.y == y && q.x == col << SUB_BITS);
-            if first <= last && is_corner(first) {
-                first += 1;
-            }
-            if first <= last && is_corner(last) {
-                last -= 1;
+        // A corner can only stand at an end of its row.
+        for (corner_row, corner_col) in skip {
+            if corner_row == row {
+                first += i32::from(corner_col == first);
+                last -= i32::from(corner_col == last);
             }
         }
         if first <= last {
             visit(row as usize, first as usize, last as usize + 1);
         }
+        long.step();
+        short.step();
     }
 }
 
-/// Where an edge crosses a row of pixel centres: `num / den` pixels.
+/// The corners by rising (y, x).
+#[inline]
+fn downwards([a, b, c]: [Point; 3]) -> [Point; 3] {
+    let order = |p: Point, q: Point| if (q.y, q.x) < (p.y, p.x) { (q, p) } else { (p, q) };
+    let (a, b) = order(a, b);
+    let (b, c) = order(b, c);
+    let (a, b) = order(a, b);
+    [a, b, c]
+}
+
+const NO_PIXEL: (i32, i32) = (-1, -1);
+
+/// (row, column) of a pixel centre.
+#[inline]
+fn pixel_or_none(p: Point) -> (i32, i32) {
+    p.as_pixel().map_or(NO_PIXEL, |(col, row)| (row as i32, col as i32))
+}
+
+/// Where an edge crosses the rows of pixel centres: column `whole + rest / den`,
+/// moved on from row to row without a division.
 #[derive(Clone, Copy)]
-struct Crossing {
-    num: i64,
+struct Edge {
+    whole: i32,
+    step_whole: i32,
+    rest: i64,
+    step_rest: i64,
     den: i64,
 }
 
-impl Crossing {
-    /// Edge from `a` down to `b` (`a.y < b.y`) at height `y`.
+impl Edge {
+    /// The edge from `a` down to `b` (`a.y < b.y`) at `row`.
     #[inline]
-    fn of(a: Point, b: Point, y: i32) -> Self {
-        let dy = i64::from(b.y - a.y);
-        let dx = i64::from(b.x - a.x);
-        Crossing { num: i64::from(a.x) * dy + i64::from(y - a.y) * dx, den: dy << SUB_BITS }
+    fn new(a: Point, b: Point, row: i32) -> Self {
+        let (dx, dy) = (b.x - a.x, b.y - a.y);
+        let y = row << SUB_BITS;
+        let (step_whole, step_rest) = (dx.div_euclid(dy), dx.rem_euclid(dy));
+        if y == a.y && a.x & (UNIT - 1) == 0 {
+            let (step_rest, den) = (i64::from(step_rest), i64::from(dy));
+            return Edge { whole: a.x >> SUB_BITS, step_whole, rest: 0, step_rest, den };
+        }
+        let den = i64::from(dy) << SUB_BITS;
+        let num = i64::from(a.x) * i64::from(dy) + i64::from(y - a.y) * i64::from(dx);
+        Edge {
+            whole: num.div_euclid(den) as i32,
+            step_whole,
+            rest: num.rem_euclid(den),
+            step_rest: i64::from(step_rest) << SUB_BITS,
+            den,
+        }
     }
 
-    #[inline]
-    fn floor(self) -> i32 {
-        self.num.div_euclid(self.den) as i32
+    #[inline(always)]
+    fn step(&mut self) {
+        self.whole += self.step_whole;
+        self.rest += self.step_rest;
+        if self.rest >= self.den {
+            self.rest -= self.den;
+            self.whole += 1;
+        }
     }
 
-    #[inline]
-    fn ceil(self) -> i32 {
-        (self.num + self.den - 1).div_euclid(self.den) as i32
+    #[inline(always)]
+    fn floor(&self) -> i32 {
+        self.whole
+    }
+
+    #[inline(always)]
+    fn ceil(&self) -> i32 {
+        self.whole + i32::from(self.rest > 0)
     }
 }
+
+/// Pixels looked at together in long rows.
+const LANES: usize = 8;
 
 /// The largest vertical error of a walk.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -122,7 +171,8 @@ pub struct Worst {
     pub row: usize,
 }
 
-/// The first pixel (in row, column order) with the largest |z - plane|.
+/// The first pixel (in row, column order) with the largest |z - plane|; a NaN
+/// never wins.
 #[inline]
 pub fn worst<T: Height>(grid: &Grid<T>, p: [Point; 3], z: [f64; 3], corners: Corners) -> Worst {
     let plane = Plane::through(p, z);
@@ -130,43 +180,36 @@ pub fn worst<T: Height>(grid: &Grid<T>, p: [Point; 3], z: [f64; 3], corners: Cor
     for_each_span(p, corners, |row, first, end| {
         let on_row = plane.on_row(row);
         let heights = &grid.row(row)[first..end];
-        let error_at = |i: usize| (heights[i].to_f64() - plane.at(on_row, first + i)).abs();
         worst.count += heights.len();
-        let largest = row_maximum(heights.len(), error_at);
-        if largest > worst.error {
-            let i = (0..heights.len()).find(|&i| error_at(i) == largest).unwrap_or(0);
-            worst = Worst { error: largest, col: first + i, row, ..worst };
+        let whole = heights.len() / LANES * LANES;
+        let mut start = 0;
+        // Long rows: look for the place only if their maximum beats the best.
+        if whole > LANES && row_maximum(&heights[..whole], plane, on_row, first) <= worst.error {
+            start = whole;
+        }
+        for (col, height) in (first + start..end).zip(&heights[start..]) {
+            let error = (height.to_f64() - plane.at(on_row, col)).abs();
+            if error > worst.error {
+                worst = Worst { error, col, row, ..worst };
+            }
         }
     });
     worst
 }
 
-/// Largest value of `error_at` over `0..len`, lane by lane so that it vectorises;
-/// a NaN never wins.
-#[inline(always)]
-fn row_maximum(len: usize, error_at: impl Fn(usize) -> f64) -> f64 {
-    const LANES: usize = 8;
-    let mut best = -1.0;
-    let mut i = 0;
-    if len >= 2 * LANES {
-        let mut lanes = [-1.0f64; LANES];
-        while i + LANES <= len {
-            for (lane, best) in lanes.iter_mut().enumerate() {
-                let error = error_at(i + lane);
-                *best = if error > *best { error } else { *best };
-            }
-            i += LANES;
+/// Largest |z - plane| of whole lanes, written so that it vectorises.
+#[inline]
+fn row_maximum<T: Height>(heights: &[T], plane: Plane, on_row: f64, first: usize) -> f64 {
+    let mut best = [-1.0f64; LANES];
+    let mut offset: [f64; LANES] = std::array::from_fn(|lane| (first + lane) as f64 - plane.col0);
+    for chunk in heights.chunks_exact(LANES) {
+        for lane in 0..LANES {
+            let error = (chunk[lane].to_f64() - (on_row + plane.per_col * offset[lane])).abs();
+            best[lane] = if error > best[lane] { error } else { best[lane] };
+            offset[lane] += LANES as f64;
         }
-        best = lanes.iter().fold(-1.0, |a, &b| if b > a { b } else { a });
     }
-    while i < len {
-        let error = error_at(i);
-        if error > best {
-            best = error;
-        }
-        i += 1;
-    }
-    best
+    best.iter().fold(-1.0, |a, &b| if b > a { b } else { a })
 }
 
 /// Calls `visit(col, row, z, plane)` for every valid pixel of the walk.
