@@ -1,0 +1,58 @@
+"""The compiled core."""
+
+from typing import Any, Callable, Optional
+
+import numpy as np
+import numpy.typing as npt
+
+class Mesh:
+    """The finished triangulation of a raster, in pixel coordinates."""
+
+    def pixels(self) -> npt.NDArray[np.float64]:
+        """(n, 2) column and row of each vertex; pixel centres are whole numbers."""
+    def heights(self) -> npt.NDArray[np.float64]:
+        """(n,) height of each vertex."""
+    def triangles(self) -> npt.NDArray[np.uint32]:
+        """(m, 3) corners of each triangle, turning from +column to +row."""
+    def constrained(self) -> npt.NDArray[np.bool_]:
+        """(m, 3) whether the edge from corner k to corner k + 1 is a constraint."""
+    def errors(self, z: npt.NDArray[np.floating[Any]]) -> tuple[dict[str, Any], npt.NDArray[np.float64]]:
+        """Statistics against a raster of the same shape, and each triangle's largest absolute error."""
+    def rasterize_f32(self) -> npt.NDArray[np.float32]:
+        """(rows, cols) heights on the pixel centres, NaN where no triangle is."""
+    def rasterize_f64(self) -> npt.NDArray[np.float64]:
+        """(rows, cols) heights on the pixel centres, NaN where no triangle is."""
+    def check(self) -> None:
+        """Raises RuntimeError with the first property of the mesh that does not hold."""
+    @property
+    def stop_reason(self) -> str: ...
+    @property
+    def noise(self) -> float: ...
+    @property
+    def spikes(self) -> list[int]: ...
+    @property
+    def scales(self) -> list[tuple[float, float]]: ...
+    @property
+    def delaunay(self) -> bool: ...
+    @property
+    def metric(self) -> tuple[int, int, int]: ...
+
+def triangulate(
+    z: npt.NDArray[np.floating[Any]],
+    metric: tuple[float, float, float],
+    *,
+    max_points: Optional[int],
+    points_per_scale: Optional[int],
+    priority: float,
+    weight: float,
+    candidate: float,
+    tolerance: float,
+    bound: float,
+    scales: Optional[list[tuple[float, float]]],
+    despike: bool,
+    fit: bool,
+    flips: int,
+    initial: list[tuple[int, int]],
+    progress: Optional[Callable[[str, float], Any]] = None,
+) -> Mesh:
+    """Triangulates a raster; see tin.triangulate."""

@@ -1,0 +1,153 @@
+"""The ``dem2tin`` command."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Optional, TextIO
+
+from tin import __version__, options
+from tin.errors import Cancelled, InputError, OptionError, OutputError, TinError
+
+EXIT_CODES = ((OptionError, 2), (InputError, 3), (OutputError, 4), (Cancelled, 130))
+GROUPS = (("method", "triangulation"), ("input", "reading"), ("output", "writing"))
+BAR_WIDTH = 30
+
+DESCRIPTION = "Turn a DEM into a compact TIN that stays true to the terrain even where the DEM is noisy."
+EPILOG = """\
+OUTPUT is chosen by its suffix: .gpkg (POLYGON Z features), .obj (3D mesh), .tif (the TIN on the DEM's grid).
+
+examples:
+  dem2tin sthelens.dem tin.gpkg
+  dem2tin tile.tif tin.gpkg tin.obj tin.tif --max-points 2%
+  dem2tin tile.tif tin.gpkg --tolerance 0.5 --json report.json
+"""
+
+
+class Parser(argparse.ArgumentParser):
+    """Reports a wrong command line in one line."""
+
+    def error(self, message: str) -> Any:
+        """Raise instead of exiting."""
+        raise OptionError("usage", f"{message} (see {self.prog} --help)")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line, made from ``tin.options``."""
+    made = Parser(
+        "dem2tin",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    made.add_argument("dem", metavar="DEM", help="raster of heights, in any format that GDAL reads")
+    made.add_argument("outputs", metavar="OUTPUT", nargs="+", help="files to write")
+    for group, title in GROUPS:
+        section = made.add_argument_group(title)
+        for option in options.of_group(group):
+            _add(section, option)
+    section = made.add_argument_group("the run")
+    section.add_argument("--overwrite", action="store_true", help="replace outputs that exist")
+    section.add_argument("--quiet", action="store_true", help="no progress and no report")
+    section.add_argument("--json", metavar="FILE|-", help="write the report as JSON, - for standard output")
+    section.add_argument("--version", action="version", version=f"dem2tin {__version__}")
+    return made
+
+
+def _add(section: Any, option: options.Option) -> None:
+    notes = [option.unit] if option.unit else []
+    if option.default is not None and not option.is_flag:
+        notes.append(f"default: {option.default}")
+    text = f"{option.help} [{'; '.join(notes)}]" if notes else option.help
+    settings: dict[str, Any] = {"dest": option.name, "default": None, "help": text.replace("%", "%%")}
+    if option.is_flag:
+        switchable = option.default is None
+        action: Any = argparse.BooleanOptionalAction if switchable else "store_true"
+        section.add_argument(option.flag, action=action, **settings)
+    else:
+        shown = "|".join(option.choices) or option.metavar
+        section.add_argument(option.flag, metavar=shown, **settings)
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> int:
+    """Run the command; returns the exit code: 0 done, 2 usage, 3 input, 4 output, 130 interrupted."""
+    # A polite kill is treated like Ctrl-C, so that nothing half-written stays behind.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        run(parser().parse_args(arguments))
+    except TinError as error:
+        return _fail(str(error), next(code for kind, code in EXIT_CODES if isinstance(error, kind)))
+    except KeyboardInterrupt:
+        return _fail("interrupted", 130)
+    except MemoryError:
+        return _fail("not enough memory for this DEM", 3)
+    except BrokenPipeError:
+        return _fail("standard output was closed", 4)
+    return 0
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"dem2tin: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+def run(given: argparse.Namespace) -> None:
+    """Read, triangulate, write and report."""
+    from tin import formats, reader
+    from tin.tin import triangulate
+
+    start = time.perf_counter()
+    values = vars(given)
+    inputs, method, output = (
+        {option.name: values[option.name] for option in options.of_group(group)}
+        for group in ("input", "method", "output")
+    )
+    files = [*given.outputs, *([given.json] if given.json not in (None, "-") else [])]
+    reading, writing = options.parse(inputs, "input"), options.parse(output, "output")
+    options.check(method)
+    formats.check_outputs(given.outputs, overwrite=given.overwrite, inputs=[given.dem])
+    _check_report(files, overwrite=given.overwrite)
+    bar = Bar(sys.stderr, quiet=given.quiet)
+    bar("read", 0.0)
+    dem = reader.open(given.dem, **reading)
+    mesh = triangulate(dem, progress=bar, **method)
+    for path in given.outputs:
+        bar(f"write {Path(path).name}", 0.0)
+        formats.write(mesh, path, overwrite=given.overwrite, **formats.accepted(path, writing))
+    bar.close()
+    numbers = {**mesh.report.to_dict(), "seconds": time.perf_counter() - start}
+    if given.json == "-":
+        print(json.dumps(numbers, indent=2))
+    elif given.json:
+        formats.write_text(given.json, json.dumps(numbers, indent=2) + "\n", overwrite=given.overwrite)
+    if not given.quiet:
+        shown = sys.stderr if given.json == "-" else sys.stdout
+        print(mesh.report, file=shown)
+
+
+class Bar:
+    """Progress on a terminal; called with (stage, fraction)."""
+
+    def __init__(self, stream: TextIO, *, quiet: bool) -> None:
+        self.stream = stream
+        self.is_shown = not quiet and stream.isatty()
+
+    def __call__(self, stage: str, fraction: float) -> bool:
+        """Redraw the bar; never cancels."""
+        if self.is_shown:
+            done = round(BAR_WIDTH * fraction)
+            self.stream.write(f"\r\x1b[K{stage:<12} [{'#' * done}{'.' * (BAR_WIDTH - done)}] {fraction:4.0%}")
+            self.stream.flush()
+        return True
+
+    def close(self) -> None:
+        """Clear the line."""
+        if self.is_shown:
+            self.stream.write("\r\x1b[K")
+            self.stream.flush()

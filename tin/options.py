@@ -1,0 +1,352 @@
+"""Every option of dem2tin, once: name, meaning, unit, bounds and default.
+
+The command line, the Python keywords and the QGIS parameters are all made from
+``OPTIONS``; the methods are nothing but settings of the same options.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Optional, Union
+
+from tin.errors import OptionError
+
+if TYPE_CHECKING:
+    from tin.dem import DEM
+
+MIN_POINTS = 4
+MAX_SCALES = 32
+
+
+@dataclass(frozen=True)
+class Distance:
+    """A length on the ground, in units of the CRS (metres where it is geographic), or in pixels."""
+
+    value: float
+    in_pixels: bool = False
+
+    def in_pixels_of(self, dem: DEM) -> tuple[float, float]:
+        """The length along the columns' and along the rows' direction, in pixels."""
+        if self.in_pixels:
+            return self.value, self.value
+        along_x, _, along_y = dem.metric()
+        metres = self.value * (dem.crs.unit_factor if dem.crs else 1.0)
+        return metres / math.sqrt(along_x), metres / math.sqrt(along_y)
+
+    def __str__(self) -> str:
+        return f"{self.value:g}{'px' if self.in_pixels else ''}"
+
+
+@dataclass(frozen=True)
+class Share:
+    """A part of the DEM's valid pixels."""
+
+    percent: float
+
+    def __str__(self) -> str:
+        return f"{self.percent:g}%"
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option. ``parse`` turns text or a Python value into what the core needs, or raises ValueError."""
+
+    name: str
+    parse: Callable[[Any], Any]
+    help: str
+    default: Any = None
+    metavar: str = ""
+    choices: tuple[str, ...] = ()
+    unit: str = ""
+    group: str = "method"
+    advanced: bool = False
+    is_flag: bool = field(default=False)
+
+    @property
+    def flag(self) -> str:
+        """The name on the command line."""
+        return "--" + self.name.replace("_", "-")
+
+    def read(self, value: Any) -> Any:
+        """The parsed value; raises OptionError ``bad-option``."""
+        try:
+            return self.parse(value)
+        except (TypeError, ValueError, OverflowError) as error:
+            reason = str(error) or f"not understood: {value!r}"
+            raise OptionError("bad-option", f"{self.flag}: {reason}") from error
+
+
+def _number(value: Any, least: float = 0.0, most: float = math.inf) -> float:
+    if isinstance(value, bool):
+        raise ValueError(f"{value!r} is not a number")
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{value!r} is not a number") from None
+    if not math.isfinite(number) or not least <= number <= most:
+        bounds = f"at least {least:g}" if math.isinf(most) else f"between {least:g} and {most:g}"
+        raise ValueError(f"{value!r} must be a finite number, {bounds}")
+    return number
+
+
+def _whole(value: Any, least: int, most: float = math.inf) -> int:
+    number = _number(value, least, most)
+    if number != int(number):
+        raise ValueError(f"{value!r} is not a whole number")
+    return int(number)
+
+
+def _points(value: Any) -> Union[int, Share]:
+    if isinstance(value, Share):
+        return value
+    if isinstance(value, str) and value.strip().endswith("%"):
+        percent = _number(value.strip()[:-1], 0.0, 100.0)
+        if percent == 0.0:
+            raise ValueError("0% leaves no points; give more than that")
+        return Share(percent)
+    return _whole(value, MIN_POINTS)
+
+
+def _distance(value: Any) -> Distance:
+    if isinstance(value, Distance):
+        return value
+    text = value.strip() if isinstance(value, str) else value
+    if isinstance(text, str) and text.lower().endswith("px"):
+        return Distance(_number(text[:-2], 0.0, 1000.0), in_pixels=True)
+    return Distance(_number(text))
+
+
+def _scales(value: Any) -> Optional[tuple[Distance, ...]]:
+    if isinstance(value, str):
+        if value.strip().lower() == "auto":
+            return None
+        parts: Iterable[Any] = value.split(",")
+    else:
+        parts = value if isinstance(value, Iterable) else [value]
+    scales = tuple(_distance(part) for part in parts)
+    if not 1 <= len(scales) <= MAX_SCALES:
+        raise ValueError(f"give 1 to {MAX_SCALES} scales")
+    return scales
+
+
+_QUANTILES = {"median": 0.5, "max": 1.0}
+
+
+def _quantile(value: Any) -> float:
+    number = _QUANTILES.get(value.strip().lower()) if isinstance(value, str) else None
+    if number is None:
+        number = _number(value, 0.0, 1.0)
+    if number == 0.0:
+        raise ValueError("a quantile must be above 0 and at most 1")
+    return number
+
+
+def _switch(value: Any) -> bool:
+    if value in (True, False):
+        return bool(value)
+    raise ValueError(f"{value!r} is neither true nor false")
+
+
+def _factor(value: Any) -> float:
+    number = _number(value, -math.inf)
+    if number == 0.0:
+        raise ValueError("a factor of 0 would make the DEM flat")
+    return number
+
+
+def _method(value: Any) -> str:
+    name = str(value).strip().lower()
+    if name not in METHODS:
+        raise ValueError(f"{value!r} is none of {', '.join(METHODS)}")
+    return name
+
+
+METHODS: Mapping[str, Mapping[str, Any]] = {
+    "auto": {
+        "metric": 0.5,
+        "weight": 0.5,
+        "candidate": 1.0,
+        "scales": "auto",
+        "despike": True,
+        "fit": True,
+        "flips": 2,
+    },
+    "median": {
+        "metric": 0.5,
+        "weight": 0.0,
+        "candidate": 0.5,
+        "scales": "0.8px,0.7px,0.55px,0.45px",
+        "despike": False,
+        "fit": False,
+        "flips": 0,
+    },
+    "max": {
+        "metric": 1.0,
+        "weight": 0.0,
+        "candidate": 1.0,
+        "scales": "0px",
+        "despike": False,
+        "fit": False,
+        "flips": 0,
+    },
+}
+"""What each method sets; an option given by the user overrides it."""
+
+OPTIONS: tuple[Option, ...] = (
+    Option(
+        "max_points",
+        _points,
+        "stop at N vertices, or at P percent of the valid pixels (default: 5%, or no limit with a tolerance)",
+        metavar="N|P%",
+    ),
+    Option(
+        "tolerance",
+        _number,
+        "stop when the error metric is at most Z in every triangle; with the methods auto and max no "
+        "pixel is then farther than Z from the TIN",
+        metavar="Z",
+        unit="vertical unit of the DEM",
+    ),
+    Option(
+        "method",
+        _method,
+        "auto: robust against noise and the most accurate; median: da Silva et al. (2011); "
+        "max: Garland and Heckbert (1995)",
+        default="auto",
+        choices=tuple(METHODS),
+    ),
+    Option(
+        "metric",
+        _quantile,
+        "quantile of a triangle's errors that ranks it: median, max or a number above 0 up to 1",
+        metavar="median|max|Q",
+        advanced=True,
+    ),
+    Option(
+        "weight",
+        lambda value: _number(value, 0.0, 4.0),
+        "a triangle's rank is multiplied by its number of pixels to this power",
+        metavar="A",
+        advanced=True,
+    ),
+    Option(
+        "candidate",
+        _quantile,
+        "quantile of a triangle's errors at which the pixel to insert stands",
+        metavar="median|max|Q",
+        advanced=True,
+    ),
+    Option(
+        "scales",
+        _scales,
+        "standard deviations of the Gaussian smoothing, coarse to fine, or auto; 0 is the DEM itself",
+        metavar="S,S,...",
+        unit="ground units of the CRS (metres where it is geographic), or pixels with the suffix px",
+        advanced=True,
+    ),
+    Option(
+        "points_per_scale",
+        lambda value: _whole(value, 1),
+        "new vertices at most in each scale (default: an even share of the points)",
+        metavar="M",
+        advanced=True,
+    ),
+    Option(
+        "despike", _switch, "replace single pixels that stand out of their neighbours", is_flag=True, advanced=True
+    ),
+    Option("fit", _switch, "fit the heights of the vertices by least squares", is_flag=True, advanced=True),
+    Option(
+        "flips",
+        lambda value: _whole(value, 0, 100),
+        "rounds of edge flips that lower the squared error; the TIN is then not Delaunay",
+        metavar="K",
+        advanced=True,
+    ),
+    Option("band", lambda value: _whole(value, 1), "band to read", default=1, metavar="B", group="input"),
+    Option(
+        "z_factor",
+        _factor,
+        "multiply the heights while reading, for example 0.3048 for feet to metres",
+        default=1.0,
+        metavar="F",
+        group="input",
+    ),
+    Option(
+        "allow_remote",
+        _switch,
+        "also read files from the network",
+        default=False,
+        group="input",
+        is_flag=True,
+        advanced=True,
+    ),
+    Option(
+        "y_up",
+        _switch,
+        "OBJ with y upwards (x east, z south), as games expect it",
+        default=False,
+        group="output",
+        is_flag=True,
+    ),
+)
+"""All options; those of the group "method" are the keywords of ``tin.triangulate``."""
+
+BY_NAME: Mapping[str, Option] = {option.name: option for option in OPTIONS}
+DEFAULT_POINTS = Share(5.0)
+
+
+def of_group(group: str) -> list[Option]:
+    """The options for reading ("input"), triangulating ("method") or writing ("output")."""
+    return [option for option in OPTIONS if option.group == group]
+
+
+def parse(values: Mapping[str, Any], group: str) -> dict[str, Any]:
+    """The options of ``group`` with every value given (not None) parsed, else the default.
+
+    Raises OptionError: ``unknown-option``, ``bad-option``.
+    """
+    known = of_group(group)
+    unknown = sorted(values.keys() - {option.name for option in known})
+    if unknown:
+        raise OptionError("unknown-option", f"there is no option {', '.join(unknown)}")
+    parsed = {}
+    for option in known:
+        value = values.get(option.name)
+        parsed[option.name] = option.default if value is None else option.read(value)
+    return parsed
+
+
+def core_arguments(values: Mapping[str, Any], dem: DEM) -> dict[str, Any]:
+    """What ``tin._core.triangulate`` takes, for the method options ``values`` on ``dem``.
+
+    Raises OptionError: ``unknown-option``, ``bad-option``.
+    """
+    given = {name: value for name, value in values.items() if value is not None}
+    method = BY_NAME["method"].read(given.get("method", "auto"))
+    options = parse({**METHODS[method], **given}, "method")
+    tolerance = options["tolerance"]
+    limit = options["max_points"]
+    if limit is None and tolerance is None:
+        limit = DEFAULT_POINTS
+    if isinstance(limit, Share):
+        limit = max(MIN_POINTS, round(dem.n_valid * limit.percent / 100))
+    scales = options["scales"]
+    per_scale = options["points_per_scale"]
+    if per_scale is None and limit is not None and scales is not None:
+        per_scale = math.ceil(limit / len(scales))
+    return {
+        "max_points": limit,
+        "points_per_scale": per_scale,
+        "priority": options["metric"],
+        "weight": options["weight"],
+        "candidate": options["candidate"],
+        "tolerance": tolerance,
+        # The paper's tolerance is on its metric; auto and max promise a maximum.
+        "bound": options["metric"] if method == "median" else 1.0,
+        "scales": None if scales is None else [scale.in_pixels_of(dem) for scale in scales],
+        "despike": options["despike"],
+        "fit": options["fit"],
+        "flips": options["flips"],
+    }

@@ -1,0 +1,183 @@
+"""The TIN, and the function that makes it from a DEM."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Optional, Union
+
+import numpy as np
+import numpy.typing as npt
+
+from tin import _core, options
+from tin.errors import InputError
+from tin.metrics import Errors, Report
+
+if TYPE_CHECKING:
+    from tin.crs import CRS
+    from tin.dem import DEM
+
+Progress = Callable[[str, float], Any]
+"""Called with the stage's name and the fraction of it that is done; a false answer cancels the run."""
+
+
+class Tin:
+    """A triangulated irregular network over a DEM; made by ``triangulate``, never changed."""
+
+    dem: DEM
+    """The DEM it was made of."""
+    vertices: npt.NDArray[np.float64]
+    """(n, 3) map x, y and height z, in the units of the CRS and the DEM's vertical unit."""
+    triangles: npt.NDArray[np.uint32]
+    """(m, 3) vertex numbers, counter-clockwise in map coordinates."""
+    pixels: npt.NDArray[np.float64]
+    """(n, 2) column and row of each vertex; pixel centres are whole numbers."""
+    constrained: npt.NDArray[np.bool_]
+    """(m, 3) whether the edge from corner k to corner k + 1 is a constraint, such as the data's outline."""
+    report: Report
+
+    def __init__(self, core: _core.Mesh, dem: DEM, seconds: float) -> None:
+        self._core = core
+        self.dem = dem
+        self.pixels = core.pixels()
+        x, y = dem.pixel_to_map(self.pixels[:, 0], self.pixels[:, 1])
+        self.vertices = np.column_stack([x, y, core.heights()])
+        a, b, _, d, e, _ = dem.transform
+        # A transform that mirrors (rows downwards: nearly all) turns the core's corners around.
+        turn = slice(None, None, -1) if a * e - b * d < 0 else slice(None)
+        self.triangles = np.ascontiguousarray(core.triangles()[:, turn])
+        constrained = core.constrained()
+        # Edge k joins corners k and k + 1: turned around, corners are 2 1 0 and edges 1 0 2.
+        self.constrained = constrained if turn == slice(None) else constrained[:, [1, 0, 2]]
+        errors, self.triangle_errors = core.errors(dem.z)
+        self._errors = Errors(**errors)
+        self.report = self._report(seconds)
+        for array in (self.pixels, self.vertices, self.triangles, self.constrained, self.triangle_errors):
+            array.flags.writeable = False
+
+    triangle_errors: npt.NDArray[np.float64]
+    """(m,) the largest absolute error of the DEM's pixels in each triangle."""
+
+    def _report(self, seconds: float) -> Report:
+        spikes = self._core.spikes
+        without = self._errors.max_error
+        if spikes:
+            kept = self.dem.z.copy()
+            kept.ravel()[spikes] = np.nan
+            without = self._core.errors(kept)[0]["max_error"]
+        return Report(
+            points=len(self.vertices),
+            triangles=len(self.triangles),
+            stop_reason=self._core.stop_reason,
+            errors=self._errors,
+            max_error_without_spikes=without,
+            spikes=len(spikes),
+            noise=self._core.noise,
+            scales=self._core.scales,
+            delaunay=self._core.delaunay,
+            seconds=seconds,
+            crs=str(self.crs) if self.crs else None,
+            vertical_unit=self.dem.vertical_unit,
+        )
+
+    @property
+    def crs(self) -> Optional[CRS]:
+        """That of the DEM."""
+        return self.dem.crs
+
+    @property
+    def name(self) -> str:
+        """That of the DEM."""
+        return self.dem.name
+
+    @cached_property
+    def spikes(self) -> npt.NDArray[np.bool_]:
+        """(rows, cols) the pixels that despiking replaced."""
+        spikes = np.zeros(self.dem.shape, dtype=bool)
+        spikes.ravel()[self._core.spikes] = True
+        return spikes
+
+    def error(self) -> Errors:
+        """RMSE, MAE, P95 and largest error against the DEM."""
+        return self._errors
+
+    def rasterize(self, dtype: npt.DTypeLike = np.float64) -> npt.NDArray[np.floating[Any]]:
+        """(rows, cols) heights of the TIN on the DEM's pixel centres, NaN where there is no triangle."""
+        single = np.dtype(dtype) == np.float32
+        return self._core.rasterize_f32() if single else self._core.rasterize_f64()
+
+    def check(self) -> None:
+        """Prove the mesh: orientation, adjacency, Euler's formula, exact area, Delaunay edges.
+
+        Raises RuntimeError, naming the first property that does not hold.
+        """
+        self._core.check()
+
+    def write(self, path: Union[str, os.PathLike[str]], *, overwrite: bool = False, **choices: Any) -> None:
+        """Write to ``path`` in the format of its suffix (.gpkg, .obj, .tif); all of it or nothing.
+
+        Raises OutputError, see ``tin.formats.write``.
+        """
+        from tin import formats
+
+        formats.write(self, path, overwrite=overwrite, **choices)
+
+    def to_geodataframe(self) -> Any:
+        """A geopandas.GeoDataFrame: POLYGON Z a triangle, with the attributes of the GeoPackage.
+
+        Raises InputError ``missing-library`` without geopandas and shapely.
+        """
+        from tin.formats.attributes import attributes
+
+        try:
+            import geopandas
+            import shapely
+        except ImportError as error:
+            raise InputError("missing-library", f"to_geodataframe needs geopandas and shapely: {error}") from error
+        corners = self.vertices[self.triangles]
+        rings = np.concatenate([corners, corners[:, :1]], axis=1)
+        return geopandas.GeoDataFrame(attributes(self), geometry=shapely.polygons(rings), crs=self.crs)
+
+    def __repr__(self) -> str:
+        return f"<Tin {self.name or 'unnamed'}: {len(self.vertices)} points, {len(self.triangles)} triangles>"
+
+
+def triangulate(
+    dem: DEM, *, points: Optional[npt.ArrayLike] = None, progress: Optional[Progress] = None, **keywords: Any
+) -> Tin:
+    """Make a TIN of a DEM.
+
+    Args:
+        dem: the heights.
+        points: (n, 2) map x, y of pixels that are to be vertices from the start (P_I of Algorithm 1);
+            each is moved to the nearest pixel centre, those on voids or outside are left out.
+        progress: called with (stage, fraction); a false answer cancels.
+        keywords: the options of the group "method" in ``tin.options.OPTIONS``.
+
+    Raises:
+        OptionError: "bad-option", "unknown-option".
+        InputError: "too-small", "no-area", "too-large".
+        Cancelled: the callback asked to stop.
+    """
+    start = time.perf_counter()
+    arguments = options.core_arguments(keywords, dem)
+    arguments["tolerance"] = arguments["tolerance"] or 0.0
+    core = _core.triangulate(
+        dem.z, dem.metric(), initial=_initial(dem, points), progress=progress, **arguments
+    )
+    return Tin(core, dem, time.perf_counter() - start)
+
+
+def _initial(dem: DEM, points: Optional[npt.ArrayLike]) -> list[tuple[int, int]]:
+    if points is None:
+        return []
+    places = np.asarray(points, dtype=np.float64)
+    if places.ndim != 2 or places.shape[1] < 2:
+        raise InputError("bad-points", f"points must be (n, 2) map coordinates, not {places.shape}")
+    places = places[np.isfinite(places[:, :2]).all(axis=1)]
+    col, row = dem.map_to_pixel(places[:, 0], places[:, 1])
+    col, row = np.rint(col), np.rint(row)
+    inside = (col >= 0) & (col < dem.cols) & (row >= 0) & (row < dem.rows)
+    return list(zip(col[inside].astype(int).tolist(), row[inside].astype(int).tolist()))
