@@ -38,7 +38,58 @@ struct Normal<'m> {
     inverse: Vec<f64>,
 }
 
-impl Normal<'_> {
+impl<'m> Normal<'m> {
+    /// The matrix, and one right-hand side for each of the `K` values a pixel has.
+    /// `value(pixel, height, plane)`: `plane` is that of the heights `z`.
+    fn assemble<T: Height, const K: usize>(
+        mesh: &'m Mesh,
+        z: &[f64],
+        grid: &Grid<T>,
+        progress: &mut Progress,
+        value: impl Fn(usize, f64, f64) -> [f64; K],
+    ) -> Result<(Self, [Vec<f64>; K])> {
+        let mut seen = Visited::new(grid.z().len());
+        let mut blocks = vec![[0.0; 6]; mesh.triangles().len()];
+        let mut sides: [Vec<f64>; K] = std::array::from_fn(|_| vec![0.0; z.len()]);
+        let mut inverse = vec![0.0; z.len()];
+        let count = blocks.len();
+        for (t, m) in blocks.iter_mut().enumerate() {
+            let triangle = mesh.triangle(t as u32);
+            if triangle.is_void() {
+                continue;
+            }
+            let v = triangle.v.map(|v| v as usize);
+            let p = mesh.corners(t as u32);
+            let hats = Hats::over(p);
+            let mut work = 16;
+            for_each_pixel(grid, p, v.map(|v| z[v]), Corners::Included, |col, row, height, plane| {
+                work += 4;
+                let pixel = row * grid.cols() + col;
+                if !seen.insert(pixel) {
+                    return;
+                }
+                let hat = hats.at(col, row);
+                let [a, b, c] = hat;
+                for (sum, product) in m.iter_mut().zip([a * a, a * b, a * c, b * b, b * c, c * c]) {
+                    *sum += product;
+                }
+                for (side, value) in sides.iter_mut().zip(value(pixel, height, plane)) {
+                    for (v, hat) in v.into_iter().zip(hat) {
+                        side[v] += hat * value;
+                    }
+                }
+            });
+            for (v, diagonal) in v.into_iter().zip([m[0], m[3], m[5]]) {
+                inverse[v] += diagonal;
+            }
+            progress.poll(work, || t as f64 / count as f64)?;
+        }
+        for d in &mut inverse {
+            *d = if *d > 0.0 { 1.0 / *d } else { 0.0 };
+        }
+        Ok((Normal { mesh, blocks, inverse }, sides))
+    }
+
     /// y = A x.
     fn apply(&self, x: &[f64], y: &mut [f64]) {
         y.fill(0.0);
@@ -50,59 +101,84 @@ impl Normal<'_> {
             y[k] += m[2] * a + m[4] * b + m[5] * c;
         }
     }
+
+    /// Solves A x = r by conjugate gradients with Jacobi's preconditioner, from x = 0.
+    fn solve(&self, mut r: Vec<f64>, progress: &mut Progress) -> Result<Vec<f64>> {
+        let mut x = vec![0.0; r.len()];
+        let mut product = vec![0.0; r.len()];
+        let mut direction = vec![0.0; r.len()];
+        let preconditioned = |r: &[f64]| r.iter().zip(&self.inverse).map(|(r, d)| r * r * d).sum::<f64>();
+        let mut rho = preconditioned(&r);
+        let goal = rho * REDUCTION * REDUCTION;
+        let mut keep = 0.0;
+        for i in 0..MAX_ITERATIONS {
+            if rho <= goal {
+                break;
+            }
+            progress.poll(16 * x.len(), || i as f64 / MAX_ITERATIONS as f64)?;
+            for ((direction, r), d) in direction.iter_mut().zip(&r).zip(&self.inverse) {
+                *direction = r * d + keep * *direction;
+            }
+            self.apply(&direction, &mut product);
+            let step = rho / dot(&direction, &product);
+            for i in 0..x.len() {
+                x[i] += step * direction[i];
+                r[i] -= step * product[i];
+            }
+            let rho_next = preconditioned(&r);
+            keep = rho_next / rho;
+            rho = rho_next;
+        }
+        Ok(x)
+    }
 }
 
 /// Moves the heights `z` of the vertices to those of the continuous, piecewise
 /// linear surface over `mesh` with the least sum of squared differences from the
-/// pixels of `target` (Jacobi-preconditioned conjugate gradients, starting at `z`).
+/// pixels of `target`.
 pub fn fit_heights<T: Height>(
     mesh: &Mesh,
     z: &mut [f64],
     target: &Grid<T>,
     progress: &mut Progress,
 ) -> Result<()> {
-    let mut seen = Visited::new(target.z().len());
-    let mut blocks = vec![[0.0; 6]; mesh.triangles().len()];
-    // Right-hand side minus A z: the residual of the heights as they stand.
-    let mut residual = vec![0.0; z.len()];
-    let mut inverse = vec![0.0; z.len()];
-    let count = blocks.len();
-    for (t, m) in blocks.iter_mut().enumerate() {
-        let triangle = mesh.triangle(t as u32);
-        if triangle.is_void() {
-            continue;
-        }
-        let v = triangle.v.map(|v| v as usize);
-        let p = mesh.corners(t as u32);
-        let mut visited = 0;
-        let mut weights = Hats::over(p);
-        for_each_pixel(target, p, v.map(|v| z[v]), Corners::Included, |col, row, height, plane| {
-            visited += 1;
-            if !seen.insert(row * target.cols() + col) {
-                return;
-            }
-            let [a, b, c] = weights.at(col, row);
-            for (sum, product) in m.iter_mut().zip([a * a, a * b, a * c, b * b, b * c, c * c]) {
-                *sum += product;
-            }
-            for (v, weight) in v.into_iter().zip([a, b, c]) {
-                residual[v] += weight * (height - plane);
-            }
-        });
-        for (v, diagonal) in v.into_iter().zip([m[0], m[3], m[5]]) {
-            inverse[v] += diagonal;
-        }
-        progress.poll(4 * visited + 16, || 0.5 * t as f64 / count as f64)?;
-    }
-    for d in &mut inverse {
-        *d = if *d > 0.0 { 1.0 / *d } else { 0.0 };
-    }
-    let normal = Normal { mesh, blocks, inverse };
-    let change = conjugate_gradients(&normal, residual, progress)?;
-    for (z, change) in z.iter_mut().zip(change) {
+    let (normal, [residual]) =
+        Normal::assemble(mesh, z, target, progress, |_, height, plane| [height - plane])?;
+    for (z, change) in z.iter_mut().zip(normal.solve(residual, progress)?) {
         *z += change;
     }
     Ok(())
+}
+
+/// Images that decide how far the fit should follow the smoothed one.
+pub struct Blend<'a, T> {
+    pub data: Grid<'a, T>,
+    pub smooth: &'a [T],
+    /// Any image of independent, zero-mean, unit-variance noise, and the same smoothed.
+    pub probe: &'a [T],
+    pub smooth_probe: &'a [T],
+    /// Standard deviation of the noise in `data`.
+    pub noise: f64,
+}
+
+impl<T: Height> Blend<'_, T> {
+    /// The share s of the smoothed image in the target of the fit with the least
+    /// unbiased estimate of the risk (Stein 1981). With P the projection onto the
+    /// surfaces over `mesh`, G the smoothing and y the data, the fit is
+    /// P (y - s (y - G y)), and the risk is least at
+    /// s = noise^2 tr(P (I - G)) / |P (I - G) y|^2; the trace is estimated as
+    /// p' P (I - G) p with the probe p (Hutchinson 1989).
+    pub fn share(&self, mesh: &Mesh, z: &[f64], progress: &mut Progress) -> Result<f64> {
+        let (normal, [removed, probe, removed_probe]) =
+            Normal::assemble(mesh, z, &self.data, progress, |i, height, _| {
+                let probe = self.probe[i].to_f64();
+                [height - self.smooth[i].to_f64(), probe, probe - self.smooth_probe[i].to_f64()]
+            })?;
+        let energy = dot(&normal.solve(removed.clone(), progress)?, &removed);
+        let trace = dot(&normal.solve(removed_probe, progress)?, &probe);
+        let share = self.noise * self.noise * trace / energy;
+        Ok(if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) })
+    }
 }
 
 /// The three hat functions of a triangle.
@@ -121,7 +197,7 @@ impl Hats {
     }
 
     #[inline]
-    fn at(&mut self, col: usize, row: usize) -> [f64; 3] {
+    fn at(&self, col: usize, row: usize) -> [f64; 3] {
         let q = Point::pixel(col, row);
         let (dx, dy) = (f64::from(q.x - self.origin.x), f64::from(q.y - self.origin.y));
         let b = self.d1.0 * dx + self.d1.1 * dy;
@@ -132,37 +208,6 @@ impl Hats {
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-/// Solves A x = r for x, starting at 0.
-fn conjugate_gradients(normal: &Normal, mut r: Vec<f64>, progress: &mut Progress) -> Result<Vec<f64>> {
-    let precondition =
-        |r: &[f64]| -> Vec<f64> { r.iter().zip(&normal.inverse).map(|(r, d)| r * d).collect() };
-    let mut x = vec![0.0; r.len()];
-    let mut product = vec![0.0; r.len()];
-    let mut direction = precondition(&r);
-    let mut rho = dot(&r, &direction);
-    let goal = rho * REDUCTION * REDUCTION;
-    for i in 0..MAX_ITERATIONS {
-        if rho <= goal || rho == 0.0 {
-            break;
-        }
-        progress.poll(8 * x.len(), || 0.5 + 0.5 * i as f64 / MAX_ITERATIONS as f64)?;
-        normal.apply(&direction, &mut product);
-        let step = rho / dot(&direction, &product);
-        for i in 0..x.len() {
-            x[i] += step * direction[i];
-            r[i] -= step * product[i];
-        }
-        let z = precondition(&r);
-        let rho_next = dot(&r, &z);
-        let keep = rho_next / rho;
-        rho = rho_next;
-        for (d, z) in direction.iter_mut().zip(z) {
-            *d = z + keep * *d;
-        }
-    }
-    Ok(x)
 }
 
 /// Sum of squared differences between a plane and the pixels of the closed triangle.

@@ -1,14 +1,14 @@
 //! From heights to a mesh: the stages in their order, each a switch of its own.
 
 use crate::error::{Error, Result};
-use crate::fit::{fit_heights, flip_pass};
+use crate::fit::{fit_heights, flip_pass, Blend};
 use crate::grid::{Grid, Height};
 use crate::mesh::Mesh;
 use crate::outline::outline_mesh;
 use crate::predicate::Metric;
 use crate::progress::Progress;
 use crate::refine::{Refiner, Rule, Stop};
-use crate::scale::{centre_weight, choose, gaussian, mean_squared_difference, noise, spikes};
+use crate::scale::{choose, gaussian, noise, spikes};
 
 /// Which smoothed images are refined, coarse to fine.
 #[derive(Clone, Debug, PartialEq)]
@@ -112,8 +112,8 @@ pub fn triangulate<T: Height>(
 
     let mut delaunay = true;
     if options.fit || options.flips > 0 {
-        blend(&mut finest, data.z(), noise, scales[scales.len() - 1]);
-        let target = Grid::new(&finest, grid.rows(), grid.cols())?;
+        let target = fit_target(&refiner, &data, finest, noise, scales[scales.len() - 1], progress)?;
+        let target = Grid::new(&target, grid.rows(), grid.cols())?;
         delaunay = improve(&mut refiner, &target, options, progress)?;
         if bounded {
             stop = restore_bound(&mut refiner, &data, options, progress)?;
@@ -156,16 +156,40 @@ fn prepare<T: Height>(grid: &Grid<T>, options: &Options, progress: &mut Progress
     Ok(Images { data, spikes: removed, noise })
 }
 
-/// Turns the smoothed image into w data + (1 - w) smoothed, w by Stein's estimate:
-/// 1 - w = noise^2 (1 - h0) / mean(r^2).
-fn blend<T: Height>(smooth: &mut [T], data: &[T], noise: f64, sigma: [f64; 2]) {
-    let residual = mean_squared_difference(smooth, data);
-    if residual == 0.0 {
-        return;
+/// The image the heights are fitted to: the data with as much of the smoothed image
+/// mixed in as the noise that the mesh would still follow calls for.
+fn fit_target<T: Height>(
+    refiner: &Refiner,
+    data: &Grid<T>,
+    mut smooth: Vec<T>,
+    noise: f64,
+    sigma: [f64; 2],
+    progress: &mut Progress,
+) -> Result<Vec<T>> {
+    if noise == 0.0 || sigma == [0.0; 2] {
+        return Ok(data.z().to_vec());
     }
-    let share = (noise * noise * (1.0 - centre_weight(sigma)) / residual).clamp(0.0, 1.0);
-    for (smooth, data) in smooth.iter_mut().zip(data) {
+    progress.stage("fit")?;
+    let probe: Vec<T> =
+        (0..).zip(data.z()).map(|(i, z)| T::from_f64(random_sign(i) + 0.0 * z.to_f64())).collect();
+    let smooth_probe = gaussian(&Grid::new(&probe, data.rows(), data.cols())?, sigma, progress)?;
+    let blend = Blend { data: *data, smooth: &smooth, probe: &probe, smooth_probe: &smooth_probe, noise };
+    let share = blend.share(&refiner.mesh, &refiner.z, progress)?;
+    for (smooth, data) in smooth.iter_mut().zip(data.z()) {
         *smooth = T::from_f64(share * smooth.to_f64() + (1.0 - share) * data.to_f64());
+    }
+    Ok(smooth)
+}
+
+/// 1 or -1, as good as independent from one `i` to the next (the finaliser of SplitMix64).
+fn random_sign(i: u64) -> f64 {
+    let mut x = i.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    if (x ^ (x >> 31)) & 1 == 0 {
+        1.0
+    } else {
+        -1.0
     }
 }
 

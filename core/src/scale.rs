@@ -113,7 +113,7 @@ fn kernel(sigma: f64) -> Vec<f64> {
 }
 
 /// Weight of a pixel in its own smoothed value.
-pub fn centre_weight(sigma: [f64; 2]) -> f64 {
+fn centre_weight(sigma: [f64; 2]) -> f64 {
     sigma
         .iter()
         .map(|&s| {
@@ -180,8 +180,6 @@ pub struct Smooth<T> {
     pub z: Vec<T>,
     /// Standard deviation in pixels.
     pub sigma: f64,
-    /// Mean squared difference from the image it was made of.
-    pub residual: f64,
 }
 
 /// The Gaussian image with the least unbiased estimate of the risk (Stein 1981),
@@ -189,7 +187,7 @@ pub struct Smooth<T> {
 /// the search stops when it has risen.
 pub fn choose<T: Height>(grid: &Grid<T>, noise: f64, progress: &mut Progress) -> Result<Smooth<T>> {
     let variance = noise * noise;
-    let mut best = Smooth { z: grid.z().to_vec(), sigma: 0.0, residual: 0.0 };
+    let mut best = Smooth { z: grid.z().to_vec(), sigma: 0.0 };
     let mut least = variance;
     for &sigma in &SIGMAS[1..] {
         let z = gaussian(grid, [sigma, sigma], progress)?;
@@ -199,13 +197,13 @@ pub fn choose<T: Height>(grid: &Grid<T>, noise: f64, progress: &mut Progress) ->
             break;
         }
         least = risk;
-        best = Smooth { z, sigma, residual };
+        best = Smooth { z, sigma };
     }
     Ok(best)
 }
 
 /// Over the pixels where both are valid; 0 without any.
-pub fn mean_squared_difference<T: Height>(a: &[T], b: &[T]) -> f64 {
+fn mean_squared_difference<T: Height>(a: &[T], b: &[T]) -> f64 {
     let (mut sum, mut count) = (0.0, 0usize);
     for (a, b) in a.iter().zip(b) {
         let d = a.to_f64() - b.to_f64();

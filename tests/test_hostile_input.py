@@ -1,0 +1,500 @@
+"""Input that is missing, broken, too large, or out to do harm: a stable code and one line of message."""
+
+import gzip
+import http.server
+import os
+import struct
+import sys
+import threading
+import time
+import warnings
+import zlib
+
+import numpy as np
+import pytest
+import rasterio
+import rasterio.shutil
+from affine import Affine
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tin.dem import DEM
+from tin.errors import InputError, TinError
+from tin.reader import open as open_dem
+
+UTM = Affine(30, 0, 557805, 0, -30, 5122005)
+HEIGHTS = (1000 + 10 * np.arange(40)[:, None] + np.arange(50)).astype(np.float32)
+
+
+def write(path, heights=HEIGHTS, **profile):
+    rows, cols = heights.shape
+    profile = {"transform": UTM, "crs": "EPSG:26710", "count": 1, "height": rows, "width": cols, **profile}
+    with rasterio.open(path, "w", driver="GTiff", dtype=heights.dtype, **profile) as dataset:
+        dataset.write(heights, 1)
+    return path
+
+
+def vrt(path, source="dem.tif", *, size=(50, 40), extra="", kind="SimpleSource", nodata=""):
+    path.write_text(
+        f'<VRTDataset rasterXSize="{size[0]}" rasterYSize="{size[1]}">{extra}'
+        f'<VRTRasterBand dataType="Float32" band="1">{nodata}<{kind}>'
+        f'<SourceFilename relativeToVRT="1">{source}</SourceFilename><SourceBand>1</SourceBand>'
+        f"</{kind}></VRTRasterBand></VRTDataset>"
+    )
+    return path
+
+
+def refused(path, *codes, says="", **options):
+    with pytest.raises(InputError) as caught:
+        open_dem(path, **options)
+    message = str(caught.value)
+    assert caught.value.code in codes, message
+    assert "\n" not in message
+    assert says in message
+    return message
+
+
+# Missing, and not a raster
+
+
+def test_missing_file(tmp_path):
+    refused(tmp_path / "no.tif", "not-found", says="no.tif")
+    refused("no such folder/no.dem.gz", "not-found")
+    refused("", "not-found", "not-a-raster")
+
+
+def test_missing_file_behind_a_gdal_name(tmp_path):
+    refused(f"netcdf:{tmp_path}/no.nc:z", "unreadable", "not-a-raster")
+    refused(f"/vsizip/{tmp_path}/no.zip/dem.tif", "unreadable", "not-a-raster")
+
+
+def test_impossible_names(tmp_path):
+    refused("a\0b.tif", "not-found", "unreadable")
+    refused(tmp_path / ("x" * 300), "not-found", "unreadable")
+
+
+def test_folder(tmp_path):
+    refused(tmp_path, "not-a-raster")
+
+
+def test_empty_file(tmp_path):
+    (tmp_path / "dem.tif").touch()
+    refused(tmp_path / "dem.tif", "not-a-raster")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
+def test_fifo_does_not_hang(tmp_path):
+    os.mkfifo(tmp_path / "dem.tif")
+    refused(tmp_path / "dem.tif", "not-a-raster")
+
+
+def test_vector_file(tmp_path):
+    geojson = tmp_path / "points.geojson"
+    geojson.write_text(
+        '{"type":"FeatureCollection","features":[{"type":"Feature","properties":{},'
+        '"geometry":{"type":"Point","coordinates":[1,2]}}]}'
+    )
+    refused(geojson, "is-vector")
+
+
+def test_vector_geopackage(tmp_path):
+    import fiona
+
+    schema = {"geometry": "Point", "properties": {}}
+    with fiona.open(tmp_path / "points.gpkg", "w", driver="GPKG", schema=schema) as layer:
+        layer.write({"geometry": {"type": "Point", "coordinates": (1, 2)}, "properties": {}})
+    refused(tmp_path / "points.gpkg", "is-vector")
+
+
+@pytest.mark.parametrize("suffix", ["txt", "tif", "dem", "asc", "png", "exr", "hgt", "nc", "vrt"])
+def test_text_garbage(tmp_path, suffix):
+    path = tmp_path / f"garbage.{suffix}"
+    path.write_text("the quick brown fox\njumps over 13 lazy dogs\n" * 50)
+    refused(path, "not-a-raster", "unreadable", says=f"garbage.{suffix}")
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.sampled_from(
+        [b"", b"P2 ", b"P5\n4 4\n", b"Pf\n2 2\n-1\n", b"II*\0", b"\x89PNG\r\n\x1a\n", b"v/1\x01"]
+    ),
+    st.binary(max_size=300),
+)
+def test_random_bytes_give_an_error_of_ours_or_a_dem(tmp_path, magic, rest):
+    path = tmp_path / "random.bin"
+    path.write_bytes(magic + rest)
+    try:
+        open_dem(path, max_pixels=10**6)
+    except TinError as error:
+        assert error.code
+        assert "\n" not in str(error)
+
+
+# Damaged
+
+
+@pytest.mark.parametrize("share", [0.01, 0.3, 0.6, 0.95, 0.999])
+@pytest.mark.parametrize("options", [{}, {"compress": "deflate"}], ids=["plain", "deflate"])
+def test_truncated_geotiff(tmp_path, share, options):
+    heights = np.random.default_rng(0).normal(size=(200, 100)).astype(np.float32)
+    path = write(tmp_path / "dem.tif", heights, **options)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+    refused(path, "unreadable", says="dem.tif")
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.98])
+def test_truncated_usgs_dem_plain_and_gzipped(tmp_path, share):
+    path = tmp_path / "usgs.dem"
+    rasterio.shutil.copy(write(tmp_path / "dem.tif", HEIGHTS.astype(np.int16)), path, driver="USGSDEM")
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+    refused(path, "unreadable")
+    packed = tmp_path / "usgs.dem.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    refused(packed, "unreadable")
+    packed.write_bytes(gzip.compress(data)[: int(len(gzip.compress(data)) * share)])
+    refused(packed, "unreadable", "not-a-raster")
+
+
+def test_truncated_arc_ascii_grid(tmp_path):
+    path = tmp_path / "dem.asc"
+    rasterio.shutil.copy(write(tmp_path / "dem.tif"), path, driver="AAIGrid")
+    path.write_bytes(path.read_bytes()[:-2000])
+    refused(path, "unreadable")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"P2\n4 3\n1000\n1 2 3 4 5",
+        b"P2\n4 3\n1000\n1 2 3 4 5 six 7 8 9 10 11 12",
+        b"P2\n4 3\n1000\n1 2 3 4 5 2000 7 8 9 10 11 12",
+        b"P2\n4 3\n1000\n1 2 3 4 5 -6 7 8 9 10 11 12",
+        b"P2\n4 three\n1000\n",
+        b"P2\n4 3",
+        b"P2\n4 3\n1e3\n1 2 3 4 5 6 7 8 9 10 11 12",
+        b"P2\n-4 3\n1000\n1 2 3 4 5 6 7 8 9 10 11 12",
+    ],
+)
+def test_broken_plain_pgm(tmp_path, text):
+    (tmp_path / "dem.pgm").write_bytes(text)
+    refused(tmp_path / "dem.pgm", "unreadable")
+
+
+def test_truncated_binary_pgm(tmp_path):
+    (tmp_path / "dem.pgm").write_bytes(b"P5 100 100 2478\n" + bytes(12000))
+    refused(tmp_path / "dem.pgm", "unreadable")
+
+
+def test_truncated_exr_and_png(tmp_path):
+    oiio = pytest.importorskip("OpenImageIO")
+    pixels = np.random.default_rng(0).normal(size=(64, 64, 1)).astype(np.float32)
+    for name, kind in (("dem.exr", "float"), ("dem.png", "uint16")):
+        image = oiio.ImageOutput.create(str(tmp_path / name))
+        image.open(str(tmp_path / name), oiio.ImageSpec(64, 64, 1, kind))
+        image.write_image(pixels)
+        image.close()
+        data = (tmp_path / name).read_bytes()
+        (tmp_path / name).write_bytes(data[: len(data) // 2])
+        refused(tmp_path / name, "unreadable", "not-a-raster")
+
+
+# No heights, wrong heights
+
+
+def test_all_nodata(tmp_path):
+    refused(write(tmp_path / "dem.tif", np.full_like(HEIGHTS, -9999), nodata=-9999), "all-nodata")
+    refused(write(tmp_path / "nan.tif", np.full_like(HEIGHTS, np.nan)), "all-nodata")
+
+
+@pytest.mark.parametrize("dtype", ["complex64", "complex128", "complex_int16"])
+def test_complex_data(tmp_path, dtype):
+    path = tmp_path / "dem.tif"
+    shape = {"height": 40, "width": 50, "count": 1, "transform": UTM, "crs": "EPSG:26710"}
+    with rasterio.open(path, "w", driver="GTiff", dtype=dtype, **shape) as dataset:
+        dataset.write(HEIGHTS.astype(np.complex64), 1)
+    refused(path, "complex-data")
+
+
+@pytest.mark.parametrize("band", [0, -1, 2, 1.5, None, "1"])
+def test_band_out_of_range(tmp_path, band):
+    refused(write(tmp_path / "dem.tif"), "band-range", band=band)
+    (tmp_path / "dem.pgm").write_bytes(b"P2 2 2 9 1 2 3 4")
+    refused(tmp_path / "dem.pgm", "band-range", band=band)
+
+
+@pytest.mark.parametrize("nodata", ["-1.7976931348623157e308", "-3.4028234663852886e+38", "-3.4e+38", "nan"])
+def test_nodata_that_float32_cannot_hold(tmp_path, nodata):
+    heights = HEIGHTS.copy()
+    heights[0, :3] = -np.inf, np.nan, np.float32(-3.4028234663852886e38)
+    write(tmp_path / "dem.tif", heights)
+    path = vrt(tmp_path / "dem.vrt", nodata=f"<NoDataValue>{nodata}</NoDataValue>")
+    dem = open_dem(path)
+    assert np.argwhere(~dem.valid).tolist() == [[0, 0], [0, 1], [0, 2]]
+    with np.errstate(over="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        dataset = rasterio.open(path)
+    with dataset:
+        assert DEM.from_rasterio(dataset).z.tobytes() == dem.z.tobytes()
+
+
+def test_nodata_beyond_float32_declared_in_a_geotiff(tmp_path):
+    heights = HEIGHTS.copy()
+    heights[0, 0] = np.finfo(np.float32).min
+    path = write(tmp_path / "dem.tif", heights, nodata=float(np.finfo(np.float32).min))
+    assert open_dem(path).n_valid == heights.size - 1
+
+
+def test_float64_nodata_at_the_very_end(tmp_path):
+    heights = HEIGHTS.astype(np.float64)
+    heights[0, 0] = -np.finfo(np.float64).max
+    assert open_dem(write(tmp_path / "dem.tif", heights, nodata=heights[0, 0])).n_valid == heights.size - 1
+    refused(write(tmp_path / "undeclared.tif", heights), "height-range")
+
+
+@pytest.mark.parametrize("height", [1e308, -1e308, 1e39])
+def test_heights_that_are_no_terrain(tmp_path, height):
+    heights = HEIGHTS.astype(np.float64)
+    heights[0, 0] = height
+    refused(write(tmp_path / "dem.tif", heights), "height-range", says="NoData")
+
+
+def test_denormals_and_negative_zero(tmp_path):
+    heights = HEIGHTS.astype(np.float64)
+    heights[0, :3] = 5e-324, -0.0, -5e-324
+    dem = open_dem(write(tmp_path / "dem.tif", heights))
+    assert dem.z.tobytes() == heights.tobytes()
+
+
+def test_random_bits_in_void_pixels(tmp_path):
+    rng = np.random.default_rng(0)
+    mask = np.where(HEIGHTS % 7 == 0, 0, 255).astype(np.uint8)
+    results = []
+    for name in "ab":
+        heights = HEIGHTS.copy()
+        bits = heights.view(np.uint32)
+        bits[mask == 0] = rng.integers(0, 2**32, (mask == 0).sum(), dtype=np.uint32)
+        path = write(tmp_path / f"{name}.tif", heights)
+        with rasterio.open(path, "r+") as dataset:
+            dataset.write_mask(mask)
+        results.append(open_dem(path).z.tobytes())
+    assert results[0] == results[1]
+
+
+def test_one_row_and_one_pixel_are_read(tmp_path):
+    # Whether they make a surface is for the mesh to say.
+    assert open_dem(write(tmp_path / "row.tif", HEIGHTS[:1])).shape == (1, 50)
+    assert open_dem(write(tmp_path / "pixel.tif", HEIGHTS[:1, :1])).shape == (1, 1)
+
+
+@pytest.mark.parametrize("numbers", ["5,1,2,5,2,4", "5,nan,0,5,0,4", "5,0,0,5,0,0", "inf,1,0,5,0,1"])
+def test_singular_and_broken_transforms(tmp_path, numbers):
+    write(tmp_path / "dem.tif")
+    path = vrt(tmp_path / "dem.vrt", extra=f"<GeoTransform>{numbers}</GeoTransform>")
+    refused(path, "bad-transform")
+
+
+def test_zero_size(tmp_path):
+    refused(vrt(tmp_path / "dem.vrt", size=(0, 40)), "unreadable", "empty")
+    (tmp_path / "dem.pgm").write_bytes(b"P2\n0 0\n255\n")
+    refused(tmp_path / "dem.pgm", "empty")
+    with pytest.raises(InputError) as caught:
+        DEM(np.empty((0, 0)))
+    assert caught.value.code == "empty"
+
+
+# Too large
+
+
+def assert_quick_and_small(path, *codes, **options):
+    start = time.perf_counter()
+    refused(path, *codes, **options)
+    assert time.perf_counter() - start < 2
+
+
+def test_header_of_two_to_the_31_squared(tmp_path):
+    write(tmp_path / "dem.tif")
+    huge = 2**31 - 1
+    assert_quick_and_small(vrt(tmp_path / "dem.vrt", size=(huge, huge)), "too-large")
+    (tmp_path / "p5.pgm").write_bytes(f"P5 {huge} {huge} 255\n".encode() + bytes(100))
+    assert_quick_and_small(tmp_path / "p5.pgm", "too-large")
+    (tmp_path / "p2.pgm").write_bytes(f"P2 {2**31} {2**31} 255\n1 2 3".encode())
+    assert_quick_and_small(tmp_path / "p2.pgm", "too-large")
+    (tmp_path / "dem.pfm").write_bytes(f"Pf {huge} {huge} -1.0\n".encode() + bytes(100))
+    assert_quick_and_small(tmp_path / "dem.pfm", "too-large", "not-a-raster")
+
+
+def test_tiff_header_of_two_to_the_31_squared(tmp_path):
+    data = bytearray(write(tmp_path / "dem.tif").read_bytes())
+    (directory,) = struct.unpack_from("<I", data, 4)
+    for entry in range(directory + 2, directory + 26, 12):
+        assert struct.unpack_from("<H", data, entry)[0] in (256, 257)  # ImageWidth, ImageLength
+        struct.pack_into("<HII", data, entry + 2, 4, 1, 2**31)
+    (tmp_path / "dem.tif").write_bytes(data)
+    assert_quick_and_small(tmp_path / "dem.tif", "too-large")
+
+
+def test_over_max_pixels_is_refused_from_the_header(tmp_path):
+    path = write(tmp_path / "dem.tif")
+    assert open_dem(path, max_pixels=2000).n_valid == 2000
+    refused(path, "too-large", says="1999", max_pixels=1999)
+
+
+def test_plain_pgm_that_promises_more_than_it_holds(tmp_path):
+    (tmp_path / "dem.pgm").write_bytes(b"P2 40000 40000 255\n1 2 3")
+    assert_quick_and_small(tmp_path / "dem.pgm", "unreadable")
+
+
+def test_decompression_bomb_tiff(tmp_path):
+    size = {"height": 60000, "width": 60000, "count": 1, "transform": UTM, "crs": "EPSG:26710"}
+    packing = {
+        "compress": "deflate",
+        "tiled": True,
+        "blockxsize": 4096,
+        "blockysize": 4096,
+        "sparse_ok": True,
+    }
+    with rasterio.open(tmp_path / "bomb.tif", "w", driver="GTiff", dtype="uint8", **size, **packing):
+        pass
+    assert (tmp_path / "bomb.tif").stat().st_size < 10**5
+    assert_quick_and_small(tmp_path / "bomb.tif", "too-large")
+
+
+def test_decompression_bomb_png(tmp_path):
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 60000, 60000, 16, 0, 0, 0, 0))
+    body = chunk(b"IDAT", zlib.compress(bytes(10**6)))
+    (tmp_path / "bomb.png").write_bytes(b"\x89PNG\r\n\x1a\n" + header + body + chunk(b"IEND", b""))
+    assert_quick_and_small(tmp_path / "bomb.png", "too-large")
+
+
+def test_out_of_memory_is_an_error_of_ours(tmp_path, monkeypatch):
+    from tin import sources
+
+    def no_memory(heights, source):
+        raise MemoryError
+
+    monkeypatch.setattr(sources, "_void", no_memory)
+    refused(write(tmp_path / "dem.tif"), "out-of-memory")
+
+
+def test_xml_bomb(tmp_path):
+    entities = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 20 if i else "x" * 50}">' for i in range(12))
+    (tmp_path / "dem.vrt").write_text(f"<!DOCTYPE d [{entities}]><VRTDataset>&e11;</VRTDataset>")
+    assert_quick_and_small(tmp_path / "dem.vrt", "unreadable", "not-a-raster")
+
+
+# VRTs and the network
+
+
+@pytest.mark.parametrize("kind", ["SimpleSource", "ComplexSource"])
+def test_vrt_that_names_a_missing_file(tmp_path, kind):
+    refused(vrt(tmp_path / "dem.vrt", "missing.tif", kind=kind), "unreadable", says="missing.tif")
+
+
+def test_vrt_that_names_itself(tmp_path):
+    refused(vrt(tmp_path / "dem.vrt", "dem.vrt"), "unreadable")
+
+
+@pytest.mark.parametrize("text", ["<VRTDataset rasterXSize=", "<VRTDataset></VRTDataset>", "<VRTDataset>\0"])
+def test_broken_vrt(tmp_path, text):
+    (tmp_path / "dem.vrt").write_text(text)
+    refused(tmp_path / "dem.vrt", "unreadable")
+
+
+def test_vrt_may_mention_an_address_in_its_metadata(tmp_path):
+    write(tmp_path / "dem.tif")
+    extra = '<Metadata><MDI key="source">https://example.org/dem</MDI></Metadata>'
+    assert open_dem(vrt(tmp_path / "dem.vrt", extra=extra)).n_valid == HEIGHTS.size
+
+
+def test_a_geotiff_may_hold_xml_in_its_tags(tmp_path):
+    path = write(tmp_path / "dem.tif")
+    with rasterio.open(path, "r+") as dataset:
+        dataset.update_tags(note="<VRTDataset> https://example.org")
+    assert b"<GDALMetadata" in path.read_bytes()
+    assert open_dem(path).n_valid == HEIGHTS.size
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "http://example.org/dem.tif",
+        "HTTPS://example.org/dem.tif",
+        "s3://bucket/dem.tif",
+        "zip+https://example.org/a.zip!dem.tif",
+        "/vsicurl/https://example.org/dem.tif",
+        "/vsis3/bucket/dem.tif",
+        "/vsigzip//vsicurl/ftp://example.org/dem.gz",
+        "/vsicurl_streaming/https://example.org/dem.tif",
+        "WMS:https://example.org/wms?",
+        "EEDAI:image",
+        'NETCDF:"https://example.org/a.nc":z',
+    ],
+)
+def test_remote_names_are_refused(name):
+    refused(name, "remote", says="allow_remote")
+
+
+@pytest.fixture
+def server(tmp_path):
+    requests = []
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def __init__(self, *args):
+            super().__init__(*args, directory=str(tmp_path))
+
+        def parse_request(self):
+            requests.append(self.raw_requestline)
+            return super().parse_request()
+
+        def log_message(self, *args):
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as httpd:
+        thread = threading.Thread(target=httpd.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{httpd.server_port}", requests
+        httpd.shutdown()
+        thread.join()
+
+
+def test_vrt_that_names_remote_files_is_refused_unless_asked_for(tmp_path, server):
+    address, requests = server
+    write(tmp_path / "dem.tif")
+    remote = vrt(tmp_path / "remote.vrt", f"/vsicurl/{address}/dem.tif")
+    nested = vrt(tmp_path / "nested.vrt", "remote.vrt")
+    (tmp_path / "wms.xml").write_text(
+        f'<GDAL_WMS><Service name="TMS"><ServerUrl>{address}/${{z}}.png</ServerUrl></Service></GDAL_WMS>'
+    )
+    by_wms = vrt(tmp_path / "by_wms.vrt", "wms.xml")
+    for path in (remote, nested, tmp_path / "wms.xml", by_wms):
+        refused(path, "remote", says="names the remote source")
+    assert requests == []
+    assert open_dem(remote, allow_remote=True).n_valid == HEIGHTS.size
+    assert requests
+
+
+def test_the_second_lock_holds_where_the_check_sees_nothing(tmp_path, server):
+    address, requests = server
+    write(tmp_path / "dem.tif")
+    hidden = f"&#47;vsicurl&#47;{address}/dem.tif"
+    packed = tmp_path / "remote.vrt.gz"
+    plain = vrt(tmp_path / "remote.vrt", hidden)
+    refused(plain, "remote")
+    packed.write_bytes(gzip.compress(plain.read_bytes()))
+    refused(packed, "unreadable")
+    assert requests == []
+
+
+# Libraries that are not there
+
+
+@pytest.mark.parametrize(("library", "magic"), [("rasterio", b""), ("OpenImageIO", b"nothing GDAL knows")])
+def test_missing_library(tmp_path, monkeypatch, library, magic):
+    (tmp_path / "dem.tif").write_bytes(magic)
+    monkeypatch.setitem(sys.modules, library, None)
+    refused(tmp_path / "dem.tif", "missing-library", says=f"pip install {library}")

@@ -1,0 +1,126 @@
+"""The file formats a TIN can be written to, chosen by the suffix of the file's name."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import os
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Union
+
+from tin.errors import OptionError, OutputError
+from tin.formats import geotiff, gpkg, obj
+from tin.formats.atomic import atomic, check_writable, refuse_existing
+
+if TYPE_CHECKING:
+    from tin.tin import Tin
+
+StrPath = Union[str, "os.PathLike[str]"]
+
+
+class Writer(NamedTuple):
+    """How one format is written."""
+
+    write: Callable[..., None]
+    """``write(tin, path, **options)``: writes ``path``, and files beside it; raises OSError on failure."""
+    library: str
+    """The library that ``write`` imports."""
+    companions: tuple[str, ...]
+    """Patterns of the names of files that belong to an output of this name and stem."""
+
+
+_TIFF = Writer(geotiff.write, "rasterio", ("{name}.aux.xml", "{name}.ovr", "{name}.msk"))
+
+WRITERS: dict[str, Writer] = {
+    ".gpkg": Writer(gpkg.write, "pyogrio", ("{name}-wal", "{name}-shm", "{name}-journal")),
+    ".obj": Writer(obj.write, "numpy", ("{stem}.prj",)),
+    ".tif": _TIFF,
+    ".tiff": _TIFF,
+}
+
+
+def write(tin: Tin, path: StrPath, *, overwrite: bool = False, **options: Any) -> None:
+    """Write ``tin`` to ``path`` in the format of its suffix; all of it, or nothing.
+
+    ``options`` are those of the format (``y_up=True`` for OBJ).
+
+    Raises OutputError: ``unknown-suffix``, ``no-directory``, ``not-writable``, ``exists``,
+    ``missing-library``, ``write-failed``; OptionError: ``unknown-option``.
+    """
+    target = _real(path)
+    writer = _writer(target)
+    unknown = sorted(options.keys() - accepted(target, options).keys())
+    if unknown:
+        raise OptionError("unknown-option", f"{target}: {target.suffix} has no option {', '.join(unknown)}")
+    companions = _companions(writer, target)
+    with atomic(target, overwrite=overwrite, companions=companions) as private:
+        writer.write(tin, private, **options)
+
+
+def write_text(path: StrPath, text: str, *, overwrite: bool = False) -> None:
+    """Write a report or the like as UTF-8, with the same care and the same errors."""
+    with atomic(_real(path), overwrite=overwrite) as private:
+        private.write_text(text, encoding="utf-8")
+
+
+def accepted(path: StrPath, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of ``options`` that the format of ``path`` has."""
+    known = inspect.signature(_writer(_real(path)).write).parameters
+    return {name: value for name, value in options.items() if name in known}
+
+
+def check_outputs(
+    paths: Iterable[StrPath], *, overwrite: bool = False, inputs: Iterable[StrPath] = ()
+) -> None:
+    """Refuse before any work is done what could not be written in the end.
+
+    ``inputs`` are the files read: neither they nor their ``.prj`` may be overwritten.
+
+    Raises OutputError: ``unknown-suffix``, ``missing-library``, ``no-directory``, ``not-writable``,
+    ``exists``, ``same-as-input``, ``duplicate-output``.
+    """
+    sources = {_real(path) for path in inputs}
+    seen: set[Path] = set()
+    for target in map(_real, paths):
+        writer = _writer(target)
+        companions = _companions(writer, target)
+        if target in seen:
+            raise OutputError("duplicate-output", f"{target}: named twice as an output")
+        seen.add(target)
+        for path in (target, *companions):
+            if path in sources or _belongs_to(path, target, sources):
+                raise OutputError("same-as-input", f"{path}: belongs to the input; choose another name")
+        refuse_existing(target, companions, overwrite=overwrite)
+        check_writable(target)
+
+
+def _real(path: StrPath) -> Path:
+    # Through symbolic links, so that the file they name is replaced and not the link.
+    return Path(os.path.realpath(path))
+
+
+def _writer(target: Path) -> Writer:
+    writer = WRITERS.get(target.suffix.lower())
+    if writer is None:
+        known = ", ".join(WRITERS)
+        raise OutputError("unknown-suffix", f"{target}: unknown suffix '{target.suffix}'; known are {known}")
+    try:
+        importlib.import_module(writer.library)
+    except ImportError as error:
+        message = (
+            f"{target}: writing {target.suffix} needs {writer.library} ({error}): install {writer.library}"
+        )
+        raise OutputError("missing-library", message) from error
+    return writer
+
+
+def _companions(writer: Writer, target: Path) -> list[Path]:
+    names = (pattern.format(name=target.name, stem=target.stem) for pattern in writer.companions)
+    return [target.with_name(name) for name in names]
+
+
+def _belongs_to(path: Path, target: Path, sources: set[Path]) -> bool:
+    """Whether ``path``, an existing file beside ``target``, describes a source of the same stem."""
+    shared = not path.name.startswith(target.name) and path.exists()
+    return shared and any(path == source.with_suffix(path.suffix) for source in sources)

@@ -1,0 +1,75 @@
+"""GeoTIFF: the surface of the TIN on the grid of the DEM it was made from."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tin.formats.common import crs_definition, title
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tin.tin import Tin
+
+_LARGEST = float(np.finfo(np.float32).max)
+
+
+def write(tin: Tin, path: Path) -> None:
+    """Write the heights of ``tin`` at the pixel centres of its DEM: size, transform and CRS are the DEM's.
+
+    Heights are float32. The NoData value is the DEM's where float32 holds it and no height
+    equals it, else -9999, else NaN; none is declared if the DEM has none and the TIN covers every pixel.
+    """
+    import rasterio
+    from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
+
+    dem = tin.dem
+    heights = tin.rasterize(np.float32)
+    void = np.isnan(heights)
+    nodata = _nodata(dem.nodata, heights) if dem.nodata is not None or void.any() else None
+    if nodata is not None:
+        heights[void] = nodata
+    # GDAL does not report a full disk to rasterio: it writes to memory, and Python to the disk.
+    with warnings.catch_warnings(), rasterio.MemoryFile() as memory:
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        try:
+            with memory.open(
+                driver="GTiff",
+                dtype="float32",
+                count=1,
+                height=dem.rows,
+                width=dem.cols,
+                crs=crs_definition(tin),
+                transform=rasterio.Affine(*dem.transform),
+                nodata=nodata,
+                tiled=True,
+                compress="deflate",
+                predictor=3,
+                bigtiff="IF_SAFER",
+                num_threads="all_cpus",
+            ) as raster:
+                raster.write(heights, 1)
+                raster.set_band_description(1, title(tin))
+                raster.set_band_unit(1, dem.vertical_unit)
+        except (CRSError, RasterioError) as error:
+            raise OSError(str(error)) from error
+        with path.open("wb") as file:
+            shutil.copyfileobj(memory, file, 1 << 24)
+
+
+def _nodata(declared: float | None, heights: NDArray[Any]) -> float:
+    for value in (declared, -9999.0):
+        if value is not None and _fits(value) and not (heights == np.float32(value)).any():
+            return value
+    return math.nan
+
+
+def _fits(value: float) -> bool:
+    """Whether float32 holds exactly ``value``, finite or NaN."""
+    return math.isnan(value) or (abs(value) <= _LARGEST and float(np.float32(value)) == value)
