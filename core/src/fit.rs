@@ -10,6 +10,9 @@ use crate::scan::{for_each_pixel, Corners};
 /// Conjugate gradients stop when the residual has fallen by this factor.
 const REDUCTION: f64 = 1e-4;
 const MAX_ITERATIONS: usize = 60;
+/// A vertex that was placed by looking at the data costs more degrees of freedom
+/// than its height (Friedman 1991 charges 2 to 4 for such a knot).
+const KNOT_COST: f64 = 2.0;
 
 /// A set of pixels, one bit each.
 pub struct Visited(Vec<u64>);
@@ -166,8 +169,8 @@ impl<T: Height> Blend<'_, T> {
     /// unbiased estimate of the risk (Stein 1981). With P the projection onto the
     /// surfaces over `mesh`, G the smoothing and y the data, the fit is
     /// P (y - s (y - G y)), and the risk is least at
-    /// s = noise^2 tr(P (I - G)) / |P (I - G) y|^2; the trace is estimated as
-    /// p' P (I - G) p with the probe p (Hutchinson 1989).
+    /// s = noise^2 tr(P (I - G)) / |P (I - G) y|^2, the trace estimated as
+    /// p' P (I - G) p with the probe p (Hutchinson 1989) and charged at the cost of knots.
     pub fn share(&self, mesh: &Mesh, z: &[f64], progress: &mut Progress) -> Result<f64> {
         let (normal, [removed, probe, removed_probe]) =
             Normal::assemble(mesh, z, &self.data, progress, |i, height, _| {
@@ -176,7 +179,7 @@ impl<T: Height> Blend<'_, T> {
             })?;
         let energy = dot(&normal.solve(removed.clone(), progress)?, &removed);
         let trace = dot(&normal.solve(removed_probe, progress)?, &probe);
-        let share = self.noise * self.noise * trace / energy;
+        let share = KNOT_COST * self.noise * self.noise * trace / energy;
         Ok(if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) })
     }
 }

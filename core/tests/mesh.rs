@@ -63,7 +63,7 @@ fn spade_triangles(points: &[Point], (a, b, c): (i64, i64, i64)) -> BTreeSet<[Po
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(1500))]
+    #![proptest_config(ProptestConfig::with_cases(10_000))]
 
     #[test]
     fn random_insertions_leave_a_sound_delaunay_mesh(

@@ -1,0 +1,190 @@
+//! The outline mesh covers the data, all of it and nothing else.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+mod common;
+
+use common::{assert_sound, form, quietly, Random, FORMS};
+use dem2tin_core::error::Error;
+use dem2tin_core::grid::Grid;
+use dem2tin_core::measure::rasterise;
+use dem2tin_core::outline::outline_mesh;
+use dem2tin_core::predicate::{orient2d, Metric, Point, UNIT};
+use proptest::prelude::*;
+
+/// A mask by characters: '#' valid, anything else void.
+fn drawn(rows: &[&str]) -> (Vec<f32>, usize, usize) {
+    let valid = |c: char| if c == '#' { 0.0 } else { f32::NAN };
+    (rows.iter().flat_map(|row| row.chars().map(valid)).collect(), rows.len(), rows[0].len())
+}
+
+fn masked(rows: usize, cols: usize, mut valid: impl FnMut(usize, usize) -> bool) -> Vec<f32> {
+    let height = |i| if valid(i % cols, i / cols) { 0.0 } else { f32::NAN };
+    (0..rows * cols).map(height).collect()
+}
+
+/// Twice the area of the cell complex in pixels, and the pixels it covers.
+fn complex(z: &[f32], rows: usize, cols: usize) -> (i64, Vec<bool>) {
+    let (mut area, mut covered) = (0, vec![false; z.len()]);
+    for (row, col) in (0..rows - 1).flat_map(|row| (0..cols - 1).map(move |col| (row, col))) {
+        let i = row * cols + col;
+        let valid: Vec<_> =
+            [i, i + 1, i + cols, i + cols + 1].into_iter().filter(|&i| !z[i].is_nan()).collect();
+        if valid.len() >= 3 {
+            area += valid.len() as i64 - 2;
+            valid.into_iter().for_each(|i| covered[i] = true);
+        }
+    }
+    (area, covered)
+}
+
+/// Whether the centroid of the triangle lies in a cell of the complex.
+fn centroid_is_data(p: [Point; 3], z: &[f32], cols: usize) -> bool {
+    let (x, y) = (p.iter().map(|p| p.x).sum::<i32>(), p.iter().map(|p| p.y).sum::<i32>());
+    let (col, row) = ((x / (3 * UNIT)) as usize, (y / (3 * UNIT)) as usize);
+    let (dx, dy) = (x - 3 * UNIT * col as i32, y - 3 * UNIT * row as i32);
+    let valid = |c: usize, r: usize| z.get(r * cols + c).is_none_or(|z| !z.is_nan());
+    let missing: Vec<_> =
+        [(0, 0), (1, 0), (0, 1), (1, 1)].into_iter().filter(|&(c, r)| !valid(col + c, row + r)).collect();
+    let side = 3 * UNIT;
+    match missing[..] {
+        [] => true,
+        // The half next to the missing corner is void.
+        [(c, r)] => {
+            let from_corner = (if c == 0 { dx } else { side - dx }) + (if r == 0 { dy } else { side - dy });
+            from_corner >= side
+        }
+        _ => dx == 0 || dy == 0,
+    }
+}
+
+fn assert_outlined(z: &[f32], rows: usize, cols: usize, metric: Metric) {
+    let (area, expected) = complex(z, rows, cols);
+    let grid = Grid::new(z, rows, cols).unwrap();
+    let mesh = match outline_mesh(&grid, metric) {
+        Ok(mesh) => mesh,
+        Err(error) => {
+            assert!(matches!(error, Error::Input { code: "no-area", .. }), "{error:?}");
+            return assert_eq!(area, 0);
+        }
+    };
+    assert_sound(&mesh, true);
+    let zeros = vec![0.0; mesh.points().len()];
+    let surface: Vec<f32> =
+        quietly(|progress| rasterise(&mesh, &zeros, rows, cols, progress)).unwrap();
+    let covered: Vec<bool> = surface.iter().map(|z| !z.is_nan()).collect();
+    assert_eq!(covered, expected);
+    let mut twice = 0;
+    for t in (0..mesh.triangles().len() as u32).filter(|&t| !mesh.triangle(t).is_void()) {
+        let [a, b, c] = mesh.corners(t);
+        twice += orient2d(a, b, c);
+        assert!(centroid_is_data([a, b, c], z, cols), "{z:?}");
+    }
+    assert_eq!(twice, area * i64::from(UNIT) * i64::from(UNIT));
+}
+
+#[test]
+fn all_masks_of_4_by_4() {
+    for bits in 0u32..1 << 16 {
+        let z = masked(4, 4, |col, row| bits >> (4 * row + col) & 1 != 0);
+        assert_outlined(&z, 4, 4, Metric::SQUARE);
+    }
+}
+
+#[test]
+fn all_masks_of_2_by_2_to_3_by_5_in_every_metric() {
+    for (a, b, c) in FORMS {
+        for (rows, cols) in [(2, 2), (2, 3), (3, 2), (3, 3), (2, 7), (7, 2)] {
+            for bits in 0u32..1 << (rows * cols) {
+                let z = masked(rows, cols, |col, row| bits >> (cols * row + col) & 1 != 0);
+                assert_outlined(&z, rows, cols, form(a, b, c));
+            }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2500))]
+
+    #[test]
+    fn random_masks_of_any_density(
+        rows in 2usize..=40, cols in 2usize..=40, share in 0.02f64..1.0, which in 0..FORMS.len(), seed: u64,
+    ) {
+        let mut random = Random(seed);
+        let (a, b, c) = FORMS[which];
+        assert_outlined(&masked(rows, cols, |_, _| random.unit() < share), rows, cols, form(a, b, c));
+    }
+
+    #[test]
+    fn random_unions_and_differences_of_discs(rows in 5usize..=40, cols in 5usize..=40, seed: u64) {
+        let mut random = Random(seed);
+        let discs: Vec<_> = (0..8)
+            .map(|_| (random.below(cols) as f64, random.below(rows) as f64, 10.0 * random.unit(), random.below(3) > 0))
+            .collect();
+        let within = |col: usize, row: usize| {
+            let inside = |d: &&(f64, f64, f64, bool)| (col as f64 - d.0).hypot(row as f64 - d.1) <= d.2;
+            discs.iter().rfind(inside).is_some_and(|d| d.3)
+        };
+        assert_outlined(&masked(rows, cols, within), rows, cols, Metric::SQUARE);
+    }
+}
+
+#[test]
+fn patterns_that_broke_other_outlines() {
+    let n = 33;
+    let centre = |col: usize, row: usize| (col as f64 - 16.0).hypot(row as f64 - 16.0);
+    let masks: [(&str, Box<dyn Fn(usize, usize) -> bool>); 10] = [
+        ("checkerboard", Box::new(|c, r| (c + r) % 2 == 0)),
+        ("coarse checkerboard", Box::new(|c, r| (c / 2 + r / 2) % 2 == 0)),
+        ("checkerboard of 3", Box::new(|c, r| (c / 3 + r / 3) % 2 == 0)),
+        ("ring", Box::new(move |c, r| (9.0..13.0).contains(&centre(c, r)))),
+        ("thin rings", Box::new(move |c, r| centre(c, r) as usize % 3 != 0)),
+        ("voids at all corners", Box::new(move |c, r| centre(c, r) < 17.0)),
+        ("holes that touch", Box::new(|c, r| c % 2 == 0 || (c / 2 + r) % 2 == 0)),
+        ("comb", Box::new(|c, r| r < 3 || c % 3 != 2)),
+        ("diagonal stripes", Box::new(|c, r| (c + r) % 4 < 2)),
+        ("one hole a cell", Box::new(|c, r| c % 2 == 1 || r % 2 == 1)),
+    ];
+    for (name, mask) in &masks {
+        println!("{name}");
+        for (a, b, c) in FORMS {
+            assert_outlined(&masked(n, n, mask), n, n, form(a, b, c));
+        }
+    }
+}
+
+#[test]
+fn diagonal_contact_islands_and_lines() {
+    let masks: [&[&str]; 6] = [
+        &["##...", "##...", "..##.", "..##.", "....#"],
+        &["###..", "###..", "###..", "..###", "..###", "..###"],
+        &["#####", "#.#.#", "#####", "#.#.#", "#####"],
+        &["#####", "#...#", "#.#.#", "#...#", "#####"],
+        &["....#", "....#", "##..#", "##..#", "....#"],
+        &["######", "##..##", "#.##.#", "#.##.#", "##..##", "######"],
+    ];
+    for mask in masks {
+        let (z, rows, cols) = drawn(mask);
+        for (a, b, c) in FORMS {
+            assert_outlined(&z, rows, cols, form(a, b, c));
+        }
+    }
+}
+
+#[test]
+fn straight_borders_need_no_points_between_their_ends() {
+    let z = masked(30, 50, |col, row| (10..40).contains(&col) && (5..=20).contains(&row));
+    let grid = Grid::new(&z, 30, 50).unwrap();
+    assert_eq!(outline_mesh(&grid, Metric::SQUARE).unwrap().points().len(), 4 + 4);
+    let z = masked(20, 20, |col, row| col >= row);
+    let grid = Grid::new(&z, 20, 20).unwrap();
+    assert_eq!(outline_mesh(&grid, Metric::SQUARE).unwrap().points().len(), 4);
+}
+
+#[test]
+fn a_raster_without_voids_is_a_rectangle() {
+    for (rows, cols) in [(2, 2), (2, 1000), (1000, 2), (300, 200)] {
+        let z = vec![0.0f32; rows * cols];
+        let mesh = outline_mesh(&Grid::new(&z, rows, cols).unwrap(), Metric::SQUARE).unwrap();
+        assert_eq!((mesh.points().len(), mesh.triangles().len()), (4, 2));
+    }
+}
