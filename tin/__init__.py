@@ -1,10 +1,10 @@
 """dem2tin: compact, noise-robust triangle meshes (TINs) from georeferenced DEMs.
 
-    import tin
+import tin
 
-    dem = tin.open("x.dem")
-    mesh = tin.triangulate(dem, max_points=5000)
-    mesh.write("x.gpkg")
+dem = tin.open("x.dem")
+mesh = tin.triangulate(dem, max_points=5000)
+mesh.write("x.gpkg")
 """
 
 from __future__ import annotations

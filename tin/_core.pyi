@@ -1,6 +1,6 @@
 """The compiled core."""
 
-from typing import Any, Callable, Optional
+from typing import Any, Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -41,18 +41,18 @@ def triangulate(
     z: npt.NDArray[np.floating[Any]],
     metric: tuple[float, float, float],
     *,
-    max_points: Optional[int],
-    points_per_scale: Optional[int],
+    max_points: int | None,
+    points_per_scale: int | None,
     priority: float,
     weight: float,
     candidate: float,
     tolerance: float,
     bound: float,
-    scales: Optional[list[tuple[float, float]]],
+    scales: list[tuple[float, float]] | None,
     despike: bool,
     fit: bool,
     flips: int,
     initial: list[tuple[int, int]],
-    progress: Optional[Callable[[str, float], Any]] = None,
+    progress: Callable[[str, float], Any] | None = None,
 ) -> Mesh:
     """Triangulates a raster; see tin.triangulate."""

@@ -8,8 +8,9 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Optional, TextIO
+from typing import Any, TextIO
 
 from tin import __version__, options
 from tin.errors import Cancelled, InputError, OptionError, OutputError, TinError
@@ -75,7 +76,7 @@ def _add(section: Any, option: options.Option) -> None:
         section.add_argument(option.flag, metavar=shown, **settings)
 
 
-def main(arguments: Optional[Sequence[str]] = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code: 0 done, 2 usage, 3 input, 4 output, 130 interrupted."""
     # A polite kill is treated like Ctrl-C, so that nothing half-written stays behind.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -108,11 +109,10 @@ def run(given: argparse.Namespace) -> None:
         {option.name: values[option.name] for option in options.of_group(group)}
         for group in ("input", "method", "output")
     )
-    files = [*given.outputs, *([given.json] if given.json not in (None, "-") else [])]
     reading, writing = options.parse(inputs, "input"), options.parse(output, "output")
-    options.check(method)
-    formats.check_outputs(given.outputs, overwrite=given.overwrite, inputs=[given.dem])
-    _check_report(files, overwrite=given.overwrite)
+    options.parse_method(method)
+    report = None if given.json in (None, "-") else given.json
+    formats.check_outputs(given.outputs, overwrite=given.overwrite, inputs=[given.dem], report=report)
     bar = Bar(sys.stderr, quiet=given.quiet)
     bar("read", 0.0)
     dem = reader.open(given.dem, **reading)
@@ -121,14 +121,14 @@ def run(given: argparse.Namespace) -> None:
         bar(f"write {Path(path).name}", 0.0)
         formats.write(mesh, path, overwrite=given.overwrite, **formats.accepted(path, writing))
     bar.close()
-    numbers = {**mesh.report.to_dict(), "seconds": time.perf_counter() - start}
+    result = replace(mesh.report, seconds=time.perf_counter() - start)
+    numbers = json.dumps(result.to_dict(), indent=2)
     if given.json == "-":
-        print(json.dumps(numbers, indent=2))
-    elif given.json:
-        formats.write_text(given.json, json.dumps(numbers, indent=2) + "\n", overwrite=given.overwrite)
+        print(numbers)
+    elif report:
+        formats.write_text(report, numbers + "\n", overwrite=given.overwrite)
     if not given.quiet:
-        shown = sys.stderr if given.json == "-" else sys.stdout
-        print(mesh.report, file=shown)
+        print(result, file=sys.stderr if given.json == "-" else sys.stdout)
 
 
 class Bar:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, Optional
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Report:
     delaunay: bool
     """Whether every edge that is no constraint is Delaunay in the metric of the map."""
     seconds: float
-    crs: Optional[str]
+    crs: str | None
     vertical_unit: str
 
     def to_dict(self) -> dict[str, Any]:
@@ -63,7 +63,8 @@ class Report:
         ]
         if self.spikes:
             lines.append(
-                f"{self.spikes:,} spikes replaced; max error without them {self.max_error_without_spikes:.4g}{unit}"
+                f"{self.spikes:,} spikes replaced; "
+                f"max error without them {self.max_error_without_spikes:.4g}{unit}"
             )
         if e.uncovered:
             lines.append(f"{e.uncovered:,} valid pixels are isolated or on lines one pixel wide: not covered")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Optional, Union
+from typing import TYPE_CHECKING, Any
 
 from tin.errors import OptionError
 
@@ -98,7 +98,7 @@ def _whole(value: Any, least: int, most: float = math.inf) -> int:
     return int(number)
 
 
-def _points(value: Any) -> Union[int, Share]:
+def _points(value: Any) -> int | Share:
     if isinstance(value, Share):
         return value
     if isinstance(value, str) and value.strip().endswith("%"):
@@ -118,7 +118,7 @@ def _distance(value: Any) -> Distance:
     return Distance(_number(text))
 
 
-def _scales(value: Any) -> Optional[tuple[Distance, ...]]:
+def _scales(value: Any) -> tuple[Distance, ...] | None:
     if isinstance(value, str):
         if value.strip().lower() == "auto":
             return None
@@ -254,7 +254,11 @@ OPTIONS: tuple[Option, ...] = (
         advanced=True,
     ),
     Option(
-        "despike", _switch, "replace single pixels that stand out of their neighbours", is_flag=True, advanced=True
+        "despike",
+        _switch,
+        "replace single pixels that stand out of their neighbours",
+        is_flag=True,
+        advanced=True,
     ),
     Option("fit", _switch, "fit the heights of the vertices by least squares", is_flag=True, advanced=True),
     Option(
@@ -318,21 +322,27 @@ def parse(values: Mapping[str, Any], group: str) -> dict[str, Any]:
     return parsed
 
 
-def core_arguments(values: Mapping[str, Any], dem: DEM) -> dict[str, Any]:
-    """What ``tin._core.triangulate`` takes, for the method options ``values`` on ``dem``.
+def parse_method(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The triangulation options parsed, with the method's settings where none is given.
 
     Raises OptionError: ``unknown-option``, ``bad-option``.
     """
     given = {name: value for name, value in values.items() if value is not None}
-    method = BY_NAME["method"].read(given.get("method", "auto"))
-    options = parse({**METHODS[method], **given}, "method")
-    tolerance = options["tolerance"]
-    limit = options["max_points"]
+    method = BY_NAME["method"].read(given.get("method", BY_NAME["method"].default))
+    return parse({**METHODS[method], **given}, "method")
+
+
+def core_arguments(values: Mapping[str, Any], dem: DEM) -> dict[str, Any]:
+    """What ``tin._core.triangulate`` takes, for the triangulation options ``values`` on ``dem``.
+
+    Raises OptionError: ``unknown-option``, ``bad-option``.
+    """
+    options = parse_method(values)
+    tolerance, limit, scales = options["tolerance"], options["max_points"], options["scales"]
     if limit is None and tolerance is None:
         limit = DEFAULT_POINTS
     if isinstance(limit, Share):
         limit = max(MIN_POINTS, round(dem.n_valid * limit.percent / 100))
-    scales = options["scales"]
     per_scale = options["points_per_scale"]
     if per_scale is None and limit is not None and scales is not None:
         per_scale = math.ceil(limit / len(scales))
@@ -342,9 +352,9 @@ def core_arguments(values: Mapping[str, Any], dem: DEM) -> dict[str, Any]:
         "priority": options["metric"],
         "weight": options["weight"],
         "candidate": options["candidate"],
-        "tolerance": tolerance,
+        "tolerance": tolerance or 0.0,
         # The paper's tolerance is on its metric; auto and max promise a maximum.
-        "bound": options["metric"] if method == "median" else 1.0,
+        "bound": options["metric"] if options["method"] == "median" else 1.0,
         "scales": None if scales is None else [scale.in_pixels_of(dem) for scale in scales],
         "despike": options["despike"],
         "fit": options["fit"],

@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Optional, Union
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +36,8 @@ class Tin:
     """(n, 2) column and row of each vertex; pixel centres are whole numbers."""
     constrained: npt.NDArray[np.bool_]
     """(m, 3) whether the edge from corner k to corner k + 1 is a constraint, such as the data's outline."""
+    triangle_errors: npt.NDArray[np.float64]
+    """(m,) the largest absolute error of the DEM's pixels in each triangle."""
     report: Report
 
     def __init__(self, core: _core.Mesh, dem: DEM, seconds: float) -> None:
@@ -56,9 +58,6 @@ class Tin:
         self.report = self._report(seconds)
         for array in (self.pixels, self.vertices, self.triangles, self.constrained, self.triangle_errors):
             array.flags.writeable = False
-
-    triangle_errors: npt.NDArray[np.float64]
-    """(m,) the largest absolute error of the DEM's pixels in each triangle."""
 
     def _report(self, seconds: float) -> Report:
         spikes = self._core.spikes
@@ -83,7 +82,7 @@ class Tin:
         )
 
     @property
-    def crs(self) -> Optional[CRS]:
+    def crs(self) -> CRS | None:
         """That of the DEM."""
         return self.dem.crs
 
@@ -115,7 +114,7 @@ class Tin:
         """
         self._core.check()
 
-    def write(self, path: Union[str, os.PathLike[str]], *, overwrite: bool = False, **choices: Any) -> None:
+    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False, **choices: Any) -> None:
         """Write to ``path`` in the format of its suffix (.gpkg, .obj, .tif); all of it or nothing.
 
         Raises OutputError, see ``tin.formats.write``.
@@ -135,7 +134,9 @@ class Tin:
             import geopandas
             import shapely
         except ImportError as error:
-            raise InputError("missing-library", f"to_geodataframe needs geopandas and shapely: {error}") from error
+            raise InputError(
+                "missing-library", f"to_geodataframe needs geopandas and shapely: {error}"
+            ) from error
         corners = self.vertices[self.triangles]
         rings = np.concatenate([corners, corners[:, :1]], axis=1)
         return geopandas.GeoDataFrame(attributes(self), geometry=shapely.polygons(rings), crs=self.crs)
@@ -145,7 +146,7 @@ class Tin:
 
 
 def triangulate(
-    dem: DEM, *, points: Optional[npt.ArrayLike] = None, progress: Optional[Progress] = None, **keywords: Any
+    dem: DEM, *, points: npt.ArrayLike | None = None, progress: Progress | None = None, **keywords: Any
 ) -> Tin:
     """Make a TIN of a DEM.
 
@@ -163,14 +164,13 @@ def triangulate(
     """
     start = time.perf_counter()
     arguments = options.core_arguments(keywords, dem)
-    arguments["tolerance"] = arguments["tolerance"] or 0.0
     core = _core.triangulate(
         dem.z, dem.metric(), initial=_initial(dem, points), progress=progress, **arguments
     )
     return Tin(core, dem, time.perf_counter() - start)
 
 
-def _initial(dem: DEM, points: Optional[npt.ArrayLike]) -> list[tuple[int, int]]:
+def _initial(dem: DEM, points: npt.ArrayLike | None) -> list[tuple[int, int]]:
     if points is None:
         return []
     places = np.asarray(points, dtype=np.float64)

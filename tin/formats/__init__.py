@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Union
 
 from tin.errors import OptionError, OutputError
-from tin.formats import geotiff, gpkg, obj
+from tin.formats import geotiff, gpkg, obj, ugrid
 from tin.formats.atomic import atomic, check_writable, refuse_existing
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ WRITERS: dict[str, Writer] = {
     ".obj": Writer(obj.write, "numpy", ("{stem}.prj",)),
     ".tif": _TIFF,
     ".tiff": _TIFF,
+    ".nc": Writer(ugrid.write, "numpy", ("{name}.aux.xml",)),
 }
 
 
@@ -71,20 +72,26 @@ def accepted(path: StrPath, options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_outputs(
-    paths: Iterable[StrPath], *, overwrite: bool = False, inputs: Iterable[StrPath] = ()
+    paths: Iterable[StrPath],
+    *,
+    overwrite: bool = False,
+    inputs: Iterable[StrPath] = (),
+    report: StrPath | None = None,
 ) -> None:
     """Refuse before any work is done what could not be written in the end.
 
     ``inputs`` are the files read: neither they nor their ``.prj`` may be overwritten.
+    ``report`` is a text to be written beside the TIN, under any suffix.
 
     Raises OutputError: ``unknown-suffix``, ``missing-library``, ``no-directory``, ``not-writable``,
     ``exists``, ``same-as-input``, ``duplicate-output``.
     """
     sources = {_real(path) for path in inputs}
     seen: set[Path] = set()
-    for target in map(_real, paths):
-        writer = _writer(target)
-        companions = _companions(writer, target)
+    targets = [(target, _companions(_writer(target), target)) for target in map(_real, paths)]
+    if report is not None:
+        targets.append((_real(report), []))
+    for target, companions in targets:
         if target in seen:
             raise OutputError("duplicate-output", f"{target}: named twice as an output")
         seen.add(target)
