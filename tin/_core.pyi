@@ -37,6 +37,9 @@ class Mesh:
     @property
     def metric(self) -> tuple[int, int, int]: ...
 
+def gaussian(z: npt.NDArray[np.float64], sigma: tuple[float, float]) -> npt.NDArray[np.float64]:
+    """The image at scale t = sigma^2 (Gaussian, sigma = (x, y) in pixels; voids are NaN)."""
+
 def triangulate(
     z: npt.NDArray[np.floating[Any]],
     metric: tuple[float, float, float],

@@ -9,6 +9,7 @@ use crate::pipeline::{self, Options, Report, Scales};
 use crate::predicate::{Metric, UNIT};
 use crate::progress::Progress;
 use crate::refine::{Rule, Stop};
+use crate::scale;
 use numpy::{Element, IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::exceptions::{PyRuntimeError, PyTypeError};
 use pyo3::prelude::*;
@@ -298,8 +299,26 @@ fn run<T: Height + Element>(
     })
 }
 
+/// The image at scale t = sigma^2 (Gaussian, `sigma` = (x, y) in pixels; voids are NaN).
+#[pyfunction]
+fn gaussian<'py>(
+    py: Python<'py>,
+    z: PyReadonlyArray2<'py, f64>,
+    sigma: (f64, f64),
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let [rows, cols] = *z.as_array().shape() else {
+        return Err(PyTypeError::new_err("heights must have two dimensions"));
+    };
+    let heights = z.as_slice()?;
+    let smooth = detached(py, None, |progress| {
+        scale::gaussian(&Grid::new(heights, rows, cols)?, [sigma.0, sigma.1], progress)
+    })?;
+    smooth.into_pyarray(py).reshape([rows, cols])
+}
+
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Mesh>()?;
+    module.add_function(wrap_pyfunction!(gaussian, module)?)?;
     module.add_function(wrap_pyfunction!(triangulate, module)?)
 }

@@ -123,9 +123,9 @@ fn centre_weight(sigma: [f64; 2]) -> f64 {
         .product()
 }
 
-/// The image at scale t = sigma^2: normalised convolution with a Gaussian of
-/// `sigma` = [along columns' direction (x), along rows' direction (y)] pixels. Void
-/// stays void and has no weight; so has what lies beyond the border.
+/// The image at scale t = sigma^2: convolution with a Gaussian of `sigma` = [along
+/// columns' direction (x), along rows' direction (y)] pixels. Void stays void and has
+/// no weight, nor has what lies beyond the border; there the kernel fits a plane.
 pub fn gaussian<T: Height>(grid: &Grid<T>, sigma: [f64; 2], progress: &mut Progress) -> Result<Vec<T>> {
     if sigma == [0.0, 0.0] {
         return Ok(grid.z().to_vec());
@@ -161,15 +161,58 @@ pub fn gaussian<T: Height>(grid: &Grid<T>, sigma: [f64; 2], progress: &mut Progr
                 into.1 += w * mass;
             }
         }
-        smooth.extend(line.iter().zip(grid.row(row)).map(|(&(sum, mass), &z)| {
+        let mut local = 0;
+        smooth.extend(line.iter().zip(grid.row(row)).enumerate().map(|(col, (&(sum, mass), &z))| {
             if z.to_f64().is_nan() {
                 z
-            } else {
+            } else if mass > COMPLETE {
                 T::from_f64(sum / mass)
+            } else {
+                local += 1;
+                T::from_f64(local_plane(grid, col, row, &kx, &ky).unwrap_or(sum / mass))
             }
         }));
+        progress.poll(local * kx.len() * ky.len(), || row as f64 / rows as f64)?;
     }
     Ok(smooth)
+}
+
+/// A kernel that finds more than this share of its weight is not cut off by a void
+/// or the border.
+const COMPLETE: f64 = 1.0 - 1e-9;
+/// Smallest determinant of the moments, relative to those of a complete kernel, for
+/// which a plane is fitted.
+const LEAST_SPREAD: f64 = 1e-3;
+
+/// Height at (`col`, `row`) of the plane fitted with the kernel's weights to the
+/// valid pixels around: unlike their weighted mean it is not drawn to one side where
+/// the kernel is cut off, so that a slope stays a slope up to its edge. `None` where
+/// the pixels do not span a plane.
+fn local_plane<T: Height>(grid: &Grid<T>, col: usize, row: usize, kx: &[f64], ky: &[f64]) -> Option<f64> {
+    let (rx, ry) = (kx.len() / 2, ky.len() / 2);
+    let (mut m, mut mx, mut my, mut mxx, mut mxy, mut myy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    let (mut mz, mut mxz, mut myz) = (0.0, 0.0, 0.0);
+    for r in row.saturating_sub(ry)..=(row + ry).min(grid.rows() - 1) {
+        let (dy, wy) = (r as f64 - row as f64, ky[r + ry - row]);
+        for c in col.saturating_sub(rx)..=(col + rx).min(grid.cols() - 1) {
+            let z = grid.at(c, r);
+            if z.is_nan() {
+                continue;
+            }
+            let (dx, w) = (c as f64 - col as f64, wy * kx[c + rx - col]);
+            (m, mx, my) = (m + w, mx + w * dx, my + w * dy);
+            (mxx, mxy, myy) = (mxx + w * dx * dx, mxy + w * dx * dy, myy + w * dy * dy);
+            (mz, mxz, myz) = (mz + w * z, mxz + w * dx * z, myz + w * dy * z);
+        }
+    }
+    // Cramer's rule for the constant term of z = a + b dx + c dy.
+    let (cxx, cxy, cyy) = (mxx * myy - mxy * mxy, mx * myy - my * mxy, mx * mxy - my * mxx);
+    let det = m * cxx - mx * cxy + my * cyy;
+    let spread = |k: &[f64]| {
+        k.iter().enumerate().map(|(i, w)| w * (i as f64 - (k.len() / 2) as f64).powi(2)).sum::<f64>()
+    };
+    let is_plane = det > LEAST_SPREAD * spread(kx) * spread(ky);
+    is_plane.then(|| (mz * cxx - mxz * cxy + myz * cyy) / det)
 }
 
 /// The standard deviations tried by [`choose`], in pixels.
