@@ -51,6 +51,7 @@ def triangulate(
     candidate: float,
     tolerance: float,
     bound: float,
+    stop_at_noise: bool,
     scales: list[tuple[float, float]] | None,
     despike: bool,
     fit: bool,

@@ -32,7 +32,8 @@ class Report:
     points: int
     triangles: int
     stop_reason: str
-    """"points": the number asked for was reached; "tolerance": every triangle is within it."""
+    """"points": the number asked for was reached; "tolerance": every triangle is within it;
+    "noise": more points would only fit the noise."""
     errors: Errors
     max_error_without_spikes: float
     """The largest error over the pixels that despiking left alone: what a tolerance promises."""

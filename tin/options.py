@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from tin.dem import DEM
 
 MIN_POINTS = 4
+NOISE_STOP = "auto"
 MAX_SCALES = 32
 
 
@@ -98,9 +99,11 @@ def _whole(value: Any, least: int, most: float = math.inf) -> int:
     return int(number)
 
 
-def _points(value: Any) -> int | Share:
+def _points(value: Any) -> int | Share | str:
     if isinstance(value, Share):
         return value
+    if isinstance(value, str) and value.strip().lower() == NOISE_STOP:
+        return NOISE_STOP
     if isinstance(value, str) and value.strip().endswith("%"):
         percent = _number(value.strip()[:-1], 0.0, 100.0)
         if percent == 0.0:
@@ -198,8 +201,9 @@ OPTIONS: tuple[Option, ...] = (
     Option(
         "max_points",
         _points,
-        "stop at N vertices, or at P percent of the valid pixels (default: 5%, or no limit with a tolerance)",
-        metavar="N|P%",
+        "stop at N vertices, at P percent of the valid pixels, or (auto) where more would only fit the noise "
+        "(default: 5%, or no limit with a tolerance)",
+        metavar="N|P%|auto",
     ),
     Option(
         "tolerance",
@@ -341,6 +345,9 @@ def core_arguments(values: Mapping[str, Any], dem: DEM) -> dict[str, Any]:
     tolerance, limit, scales = options["tolerance"], options["max_points"], options["scales"]
     if limit is None and tolerance is None:
         limit = DEFAULT_POINTS
+    stop_at_noise = limit == NOISE_STOP
+    if stop_at_noise:
+        limit = None
     if isinstance(limit, Share):
         limit = max(MIN_POINTS, round(dem.n_valid * limit.percent / 100))
     per_scale = options["points_per_scale"]
@@ -355,6 +362,7 @@ def core_arguments(values: Mapping[str, Any], dem: DEM) -> dict[str, Any]:
         "tolerance": tolerance or 0.0,
         # The paper's tolerance is on its metric; auto and max promise a maximum.
         "bound": options["metric"] if options["method"] == "median" else 1.0,
+        "stop_at_noise": stop_at_noise,
         "scales": None if scales is None else [scale.in_pixels_of(dem) for scale in scales],
         "despike": options["despike"],
         "fit": options["fit"],

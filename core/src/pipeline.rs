@@ -8,7 +8,7 @@ use crate::outline::outline_mesh;
 use crate::predicate::Metric;
 use crate::progress::Progress;
 use crate::refine::{Refiner, Rule, Stop};
-use crate::scale::{choose, gaussian, noise, spikes};
+use crate::scale::{choose, gaussian, noise, noise_left, spikes};
 
 /// Which smoothed images are refined, coarse to fine.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,6 +26,9 @@ pub struct Options {
     /// New vertices at most in each scale.
     pub points_per_scale: usize,
     pub rule: Rule,
+    /// Also stop where more points would only fit the noise: when no residual on the
+    /// smoothed image exceeds three standard deviations of the noise left in it.
+    pub stop_at_noise: bool,
     pub scales: Scales,
     pub despike: bool,
     pub fit: bool,
@@ -62,6 +65,9 @@ struct Images<T> {
     spikes: Vec<usize>,
     noise: f64,
 }
+
+/// Residuals up to this many standard deviations of the noise are taken for noise.
+const SIGNIFICANT: f64 = 3.0;
 
 /// Runs the method. Errors: `too-small`, `too-large`, `no-area`, `bad-option`,
 /// `cancelled`.
@@ -107,7 +113,11 @@ pub fn triangulate<T: Height>(
         }
         progress.stage("refine")?;
         let limit = options.max_points.min(refiner.count().saturating_add(options.points_per_scale));
-        stop = refiner.run(&Grid::new(&finest, grid.rows(), grid.cols())?, &options.rule, limit, progress)?;
+        let mut rule = options.rule;
+        if options.stop_at_noise {
+            rule.tolerance = rule.tolerance.max(SIGNIFICANT * noise * noise_left(sigma));
+        }
+        stop = refiner.run(&Grid::new(&finest, grid.rows(), grid.cols())?, &rule, limit, progress)?;
     }
 
     let mut delaunay = true;
@@ -118,6 +128,9 @@ pub fn triangulate<T: Height>(
         if bounded {
             stop = restore_bound(&mut refiner, &data, options, progress)?;
         }
+    }
+    if stop == Stop::Tolerance && options.stop_at_noise {
+        stop = Stop::Noise;
     }
     let report = Report { stop, noise, spikes, scales, delaunay };
     Ok(Triangulation { mesh: refiner.mesh, z: refiner.z, report })
@@ -151,7 +164,8 @@ fn prepare<T: Height>(grid: &Grid<T>, options: &Options, progress: &mut Progress
             removed.push(pixel);
         }
     }
-    let is_needed = options.scales == Scales::Auto || options.fit || options.flips > 0;
+    let is_needed =
+        options.stop_at_noise || options.scales == Scales::Auto || options.fit || options.flips > 0;
     let noise = if is_needed { noise(&Grid::new(&data, grid.rows(), grid.cols())?) } else { 0.0 };
     Ok(Images { data, spikes: removed, noise })
 }

@@ -200,12 +200,13 @@ impl Mesh {
         check::check(&self.mesh, self.report.delaunay).map_err(PyRuntimeError::new_err)
     }
 
-    /// "points" or "tolerance".
+    /// "points", "tolerance" or "noise".
     #[getter]
     fn stop_reason(&self) -> &'static str {
         match self.report.stop {
             Stop::Points => "points",
             Stop::Tolerance => "tolerance",
+            Stop::Noise => "noise",
         }
     }
 
@@ -243,7 +244,7 @@ impl Mesh {
 /// Triangulates a raster; see `tin.triangulate` for the meaning of the options.
 #[pyfunction]
 #[pyo3(signature = (z, metric, *, max_points, points_per_scale, priority, weight, candidate, tolerance, bound,
-                    scales, despike, fit, flips, initial, progress=None))]
+                    stop_at_noise, scales, despike, fit, flips, initial, progress=None))]
 #[allow(clippy::too_many_arguments)]
 fn triangulate(
     py: Python<'_>,
@@ -256,6 +257,7 @@ fn triangulate(
     candidate: f64,
     tolerance: f64,
     bound: f64,
+    stop_at_noise: bool,
     scales: Option<Vec<(f64, f64)>>,
     despike: bool,
     fit: bool,
@@ -267,6 +269,7 @@ fn triangulate(
         max_points: max_points.unwrap_or(usize::MAX),
         points_per_scale: points_per_scale.unwrap_or(usize::MAX),
         rule: Rule { priority, weight, candidate, tolerance, bound },
+        stop_at_noise,
         scales: scales.map_or(Scales::Auto, |s| Scales::Given(s.into_iter().map(|(x, y)| [x, y]).collect())),
         despike,
         fit,

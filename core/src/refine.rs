@@ -36,6 +36,8 @@ pub enum Stop {
     Points,
     /// Every triangle is within the tolerance.
     Tolerance,
+    /// What is left is noise.
+    Noise,
 }
 
 /// Share of the worst error added to a quantile priority: it only parts ties,

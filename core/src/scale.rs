@@ -123,6 +123,11 @@ fn centre_weight(sigma: [f64; 2]) -> f64 {
         .product()
 }
 
+/// Standard deviation of white noise after smoothing, relative to that before.
+pub fn noise_left(sigma: [f64; 2]) -> f64 {
+    sigma.iter().map(|&s| kernel(s).iter().map(|w| w * w).sum::<f64>().sqrt()).product()
+}
+
 /// The image at scale t = sigma^2: convolution with a Gaussian of `sigma` = [along
 /// columns' direction (x), along rows' direction (y)] pixels. Void stays void and has
 /// no weight, nor has what lies beyond the border; there the kernel fits a plane.

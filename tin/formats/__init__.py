@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Union
 
 from tin.errors import OptionError, OutputError
-from tin.formats import geotiff, gpkg, obj, ugrid
+from tin.formats import geotiff, gpkg, obj, png, ugrid
 from tin.formats.atomic import atomic, check_writable, refuse_existing
 
 if TYPE_CHECKING:
@@ -38,7 +38,11 @@ WRITERS: dict[str, Writer] = {
     ".tif": _TIFF,
     ".tiff": _TIFF,
     ".nc": Writer(ugrid.write, "numpy", ("{name}.aux.xml",)),
+    ".png": Writer(png.write, "matplotlib", ("{name}.aux.xml",)),
 }
+
+ERROR_WRITERS = {suffix: _TIFF._replace(write=geotiff.write_error) for suffix in (".tif", ".tiff")}
+"""The formats of an error map."""
 
 
 def write(tin: Tin, path: StrPath, *, overwrite: bool = False, **options: Any) -> None:
@@ -59,6 +63,17 @@ def write(tin: Tin, path: StrPath, *, overwrite: bool = False, **options: Any) -
         writer.write(tin, private, **options)
 
 
+def write_error_map(tin: Tin, path: StrPath, *, overwrite: bool = False) -> None:
+    """Write the signed error of ``tin``, TIN less DEM, as a GeoTIFF on the grid of its DEM.
+
+    Raises OutputError, as ``write`` does.
+    """
+    target = _real(path)
+    writer = _writer(target, ERROR_WRITERS)
+    with atomic(target, overwrite=overwrite, companions=_companions(writer, target)) as private:
+        writer.write(tin, private)
+
+
 def write_text(path: StrPath, text: str, *, overwrite: bool = False) -> None:
     """Write a report or the like as UTF-8, with the same care and the same errors."""
     with atomic(_real(path), overwrite=overwrite) as private:
@@ -77,11 +92,13 @@ def check_outputs(
     overwrite: bool = False,
     inputs: Iterable[StrPath] = (),
     report: StrPath | None = None,
+    error_map: StrPath | None = None,
 ) -> None:
     """Refuse before any work is done what could not be written in the end.
 
     ``inputs`` are the files read: neither they nor their ``.prj`` may be overwritten.
-    ``report`` is a text to be written beside the TIN, under any suffix.
+    ``report`` is a text to be written beside the TIN, under any suffix; ``error_map`` is for
+    ``write_error_map``.
 
     Raises OutputError: ``unknown-suffix``, ``missing-library``, ``no-directory``, ``not-writable``,
     ``exists``, ``same-as-input``, ``duplicate-output``.
@@ -89,6 +106,9 @@ def check_outputs(
     sources = {_real(path) for path in inputs}
     seen: set[Path] = set()
     targets = [(target, _companions(_writer(target), target)) for target in map(_real, paths)]
+    if error_map is not None:
+        target = _real(error_map)
+        targets.append((target, _companions(_writer(target, ERROR_WRITERS), target)))
     if report is not None:
         targets.append((_real(report), []))
     for target, companions in targets:
@@ -107,10 +127,10 @@ def _real(path: StrPath) -> Path:
     return Path(os.path.realpath(path))
 
 
-def _writer(target: Path) -> Writer:
-    writer = WRITERS.get(target.suffix.lower())
+def _writer(target: Path, writers: Mapping[str, Writer] = WRITERS) -> Writer:
+    writer = writers.get(target.suffix.lower())
     if writer is None:
-        known = ", ".join(WRITERS)
+        known = ", ".join(writers)
         raise OutputError("unknown-suffix", f"{target}: unknown suffix '{target.suffix}'; known are {known}")
     try:
         importlib.import_module(writer.library)

@@ -1,4 +1,4 @@
-"""GeoTIFF: the surface of the TIN on the grid of the DEM it was made from."""
+"""GeoTIFF: the surface of the TIN, or its error, on the grid of the DEM it was made from."""
 
 from __future__ import annotations
 
@@ -26,15 +26,33 @@ def write(tin: Tin, path: Path) -> None:
     Heights are float32. The NoData value is the DEM's where float32 holds it and no height
     equals it, else -9999, else NaN; none is declared if the DEM has none and the TIN covers every pixel.
     """
-    import rasterio
-    from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
-
     dem = tin.dem
     heights = tin.rasterize(np.float32)
     void = np.isnan(heights)
     nodata = _nodata(dem.nodata, heights) if dem.nodata is not None or void.any() else None
     if nodata is not None:
         heights[void] = nodata
+    _write_band(tin, path, heights, nodata, title(tin))
+
+
+def write_error(tin: Tin, path: Path) -> None:
+    """Write the signed error of ``tin``, see ``signed_error``; float32, NoData is NaN."""
+    _write_band(tin, path, signed_error(tin), math.nan, f"error of {title(tin)}")
+
+
+def signed_error(tin: Tin) -> NDArray[np.float32]:
+    """Return (rows, cols) heights of the TIN less those of its DEM, NaN where either has none."""
+    # Taken in float64: float32 would lose the millimetres of a height of kilometres.
+    error = tin.rasterize(np.float64)
+    np.subtract(error, tin.dem.z, out=error)
+    return error.astype(np.float32)
+
+
+def _write_band(tin: Tin, path: Path, values: NDArray[Any], nodata: float | None, description: str) -> None:
+    import rasterio
+    from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
+
+    dem = tin.dem
     # GDAL does not report a full disk to rasterio: it writes to memory, and Python to the disk.
     with warnings.catch_warnings(), rasterio.MemoryFile() as memory:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -54,8 +72,8 @@ def write(tin: Tin, path: Path) -> None:
                 bigtiff="IF_SAFER",
                 num_threads="all_cpus",
             ) as raster:
-                raster.write(heights, 1)
-                raster.set_band_description(1, title(tin))
+                raster.write(values, 1)
+                raster.set_band_description(1, description)
                 raster.set_band_unit(1, dem.vertical_unit)
         except (CRSError, RasterioError) as error:
             raise OSError(str(error)) from error

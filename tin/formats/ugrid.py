@@ -15,12 +15,14 @@ from tin.formats.common import title
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from tin.crs import CRS
     from tin.tin import Tin
 
 Attribute = Union[str, int, float]
 
 _TYPES = {"S1": 2, "i4": 4, "f8": 6}
 _DIMENSIONS, _VARIABLES, _ATTRIBUTES = 10, 11, 12
+_UNITS = {"metre": "m", "foot": "ft", "US survey foot": "US_survey_foot"}  # as UDUNITS spells them
 _ROWS = 1 << 18  # turned big-endian at a time
 
 
@@ -48,55 +50,43 @@ def write(tin: Tin, path: Path) -> None:
 
 def _variables(tin: Tin) -> list[Variable]:
     x, y, z = tin.vertices.T
-    topology = {
+    (x_name, x_unit), (y_name, y_unit) = _axes(tin)
+    height: dict[str, Attribute] = {"units": _UNITS.get(tin.dem.vertical_unit, "")}
+    reference: dict[str, Attribute] = {"grid_mapping": "crs"} if tin.crs is not None else {}
+    topology: dict[str, Attribute] = {
         "cf_role": "mesh_topology",
         "topology_dimension": 2,
         "node_coordinates": "mesh2d_node_x mesh2d_node_y",
         "face_node_connectivity": "mesh2d_face_nodes",
     }
-    corners = {"cf_role": "face_node_connectivity", "start_index": 0}
-    geographic = tin.crs is not None and tin.crs.is_geographic
-    names = (
-        ("longitude", "latitude") if geographic else ("projection_x_coordinate", "projection_y_coordinate")
-    )
-    units = ("degrees_east", "degrees_north") if geographic else (_unit(tin.crs and tin.crs.unit_name),) * 2
-    on_node = {"mesh": "mesh2d", "location": "node"}
-    on_face = {"mesh": "mesh2d", "location": "face", "long_name": "largest vertical error"}
-    heights = {"standard_name": "altitude", "units": _unit(tin.dem.vertical_unit)}
-    reference = {"grid_mapping": "crs"} if tin.crs is not None else {}
-    crs = [Variable("crs", (), np.int32(0), _crs_attributes(tin))] if tin.crs is not None else []
+    corners: dict[str, Attribute] = {"cf_role": "face_node_connectivity", "start_index": 0}
+    on_nodes: dict[str, Attribute] = {"mesh": "mesh2d", "location": "node", "standard_name": "altitude"}
+    on_faces: dict[str, Attribute] = {"mesh": "mesh2d", "location": "face", "long_name": "max_error"}
+    nothing = np.zeros((), np.int32)  # a variable of which only the attributes matter
     return [
-        Variable("mesh2d", (), np.int32(0), topology),
-        *crs,
-        Variable("mesh2d_node_x", ("node",), x, _known(standard_name=names[0], units=units[0], **reference)),
-        Variable("mesh2d_node_y", ("node",), y, _known(standard_name=names[1], units=units[1], **reference)),
-        Variable("mesh2d_node_z", ("node",), z, _known(**heights, **on_node, **reference)),
+        Variable("mesh2d", (), nothing, topology),
+        *([Variable("crs", (), nothing, _crs_attributes(tin.crs))] if tin.crs is not None else []),
+        Variable("mesh2d_node_x", ("node",), x, {"standard_name": x_name, "units": x_unit, **reference}),
+        Variable("mesh2d_node_y", ("node",), y, {"standard_name": y_name, "units": y_unit, **reference}),
+        Variable("mesh2d_node_z", ("node",), z, {**on_nodes, **height, **reference}),
         Variable("mesh2d_face_nodes", ("face", "corner"), tin.triangles, corners),
-        Variable(
-            "max_error",
-            ("face",),
-            np.asarray(tin.triangle_errors),
-            _known(units=heights["units"], **on_face, **reference),
-        ),
+        Variable("max_error", ("face",), tin.triangle_errors, {**on_faces, **height, **reference}),
     ]
 
 
-def _crs_attributes(tin: Tin) -> dict[str, Attribute]:
+def _axes(tin: Tin) -> tuple[tuple[str, str], tuple[str, str]]:
+    """Return standard name and unit of x and of y; the unit is "" where unknown."""
+    if tin.crs is not None and tin.crs.is_geographic:
+        return ("longitude", "degrees_east"), ("latitude", "degrees_north")
+    unit = "" if tin.crs is None else _UNITS.get(tin.crs.unit_name, "")
+    return ("projection_x_coordinate", unit), ("projection_y_coordinate", unit)
+
+
+def _crs_attributes(crs: CRS) -> dict[str, Attribute]:
     """Return the CRS as CF (``crs_wkt``), GDAL (``spatial_ref``) and QGIS's MDAL (``wkt``) look for it."""
-    assert tin.crs is not None
-    wkt = " ".join(line.strip() for line in tin.crs.wkt.splitlines())
-    code = tin.crs.code or ""
-    epsg = {"EPSG_code": code} if code.startswith("EPSG:") else {}
-    return {"crs_wkt": wkt, "spatial_ref": wkt, "wkt": wkt, **epsg}
-
-
-def _unit(name: str | None) -> str:
-    """Return the unit as UDUNITS spells it; "" where unknown."""
-    return {"metre": "m", "foot": "ft", "US survey foot": "US_survey_foot"}.get(name or "", "")
-
-
-def _known(**attributes: Attribute) -> dict[str, Attribute]:
-    return {name: value for name, value in attributes.items() if value != ""}
+    wkt = " ".join(line.strip() for line in crs.wkt.splitlines())
+    code = crs.code if crs.code and crs.code.startswith("EPSG:") else ""
+    return {"crs_wkt": wkt, "spatial_ref": wkt, "wkt": wkt, "EPSG_code": code}
 
 
 def write_netcdf(
@@ -104,7 +94,7 @@ def write_netcdf(
 ) -> None:
     """Write a NetCDF classic file with 64-bit offsets (CDF-2); numpy alone, so that it works inside any GIS.
 
-    Values are written as int32 or float64.
+    Values are written as int32 or float64; empty attributes are left out.
     """
     index = {name: number for number, name in enumerate(dimensions)}
     start = b"CDF\2" + struct.pack(">i", 0)  # no records
@@ -134,7 +124,8 @@ def write_netcdf(
 
 
 def _attributes(attributes: Mapping[str, Attribute]) -> bytes:
-    return _list(_ATTRIBUTES, [_name(name) + _value(value) for name, value in attributes.items()])
+    known = {name: value for name, value in attributes.items() if value != ""}
+    return _list(_ATTRIBUTES, [_name(name) + _value(value) for name, value in known.items()])
 
 
 def _value(value: Attribute) -> bytes:

@@ -1,0 +1,183 @@
+"""The ``dem2tin`` command as a user runs it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+import shapely
+from terrain import hills
+
+import tin
+from tin import cli
+
+SAMPLES = Path(__file__).parents[1] / "sample_dem"
+JACKSBORO = SAMPLES / "jacksboro.dem"
+
+
+def command(*arguments: object) -> list[str]:
+    return [
+        sys.executable,
+        "-c",
+        "import sys; from tin.cli import main; sys.exit(main())",
+        *map(str, arguments),
+    ]
+
+
+def run(*arguments: object, **keywords: object) -> subprocess.CompletedProcess:
+    return subprocess.run(command(*arguments), capture_output=True, text=True, check=False, **keywords)
+
+
+def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    text = path.read_text()
+    origin = [float(v) for v in re.search(r"^# origin: (\S+) (\S+)", text, re.M).groups()]
+    vertices = np.array([line.split()[1:] for line in text.splitlines() if line.startswith("v ")], float)
+    faces = np.array([line.split()[1:] for line in text.splitlines() if line.startswith("f ")], int) - 1
+    vertices[:, :2] += origin
+    return vertices, faces
+
+
+@pytest.fixture(scope="module")
+def outputs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, str]:
+    folder = tmp_path_factory.mktemp("out")
+    paths = [folder / f"x.{suffix}" for suffix in ("gpkg", "obj", "tif")]
+    done = run(JACKSBORO, *paths, "--max-points", "5%", "--json", folder / "x.json")
+    assert done.returncode == 0, done.stderr
+    return folder, json.loads((folder / "x.json").read_text()), done.stdout
+
+
+def test_report_has_the_stable_keys(outputs):
+    folder, report, shown = outputs
+    keys = {"points", "triangles", "rmse", "mae", "p95", "max_error", "stop_reason", "seconds", "crs"}
+    assert keys <= report.keys()
+    assert report["crs"] == "EPSG:32616"
+    assert report["stop_reason"] == "points"
+    assert f"{report['points']:,} points" in shown
+    assert report["points"] == round(tin.open(JACKSBORO).n_valid * 0.05)
+
+
+def test_reported_errors_are_those_of_the_written_raster(outputs):
+    folder, report, _ = outputs
+    with rasterio.open(JACKSBORO) as source, rasterio.open(folder / "x.tif") as written:
+        assert (written.shape, written.transform) == (source.shape, source.transform)
+        assert written.crs.to_epsg() == 32616
+        z, surface = source.read(1, masked=True).astype(float), written.read(1, masked=True).astype(float)
+    assert not (~np.ma.getmaskarray(surface) & np.ma.getmaskarray(z)).any()
+    error = np.ma.abs(surface - z).compressed()
+    assert error.size == report["covered"]
+    assert report["rmse"] == pytest.approx(np.sqrt((error**2).mean()), rel=1e-4)
+    assert report["mae"] == pytest.approx(error.mean(), rel=1e-4)
+    assert report["max_error"] == pytest.approx(error.max(), rel=1e-4)
+    assert report["p95"] == pytest.approx(np.quantile(error, 0.95), rel=1e-3)
+
+
+def test_polygons_are_valid_and_describe_the_same_triangles_as_the_obj(outputs):
+    folder, report, _ = outputs
+    info, table = pyogrio.read_info(folder / "x.gpkg"), pyogrio.raw.read(folder / "x.gpkg")
+    assert info["layer_name"] == "tin"
+    assert info["geometry_type"] == "Polygon Z"
+    assert info["crs"] == "EPSG:32616"
+    polygons = shapely.from_wkb(table[2])
+    assert len(polygons) == report["triangles"]
+    assert shapely.is_valid(polygons).all()
+    assert shapely.is_ccw(shapely.get_exterior_ring(polygons)).all()
+    vertices, faces = read_obj(folder / "x.obj")
+    assert len(vertices) == report["points"]
+    corners = shapely.get_coordinates(polygons, include_z=True).reshape(-1, 4, 3)[:, :3]
+    np.testing.assert_allclose(vertices[faces], corners, atol=1e-6)
+
+
+def test_a_tolerance_holds_in_the_written_raster(tmp_path):
+    done = run(JACKSBORO, tmp_path / "x.tif", "--method", "max", "--tolerance", 5, "--json", "-")
+    report = json.loads(done.stdout)
+    assert report["stop_reason"] == "tolerance"
+    with rasterio.open(JACKSBORO) as source, rasterio.open(tmp_path / "x.tif") as written:
+        error = np.ma.abs(written.read(1, masked=True).astype(float) - source.read(1, masked=True))
+    assert error.max() <= 5 + 1e-3
+    assert "points" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["missing.tif", "x.gpkg"], 3, "no such file"),
+        ([__file__, "x.gpkg"], 3, "not a raster"),
+        ([JACKSBORO, "x.foo"], 4, "unknown suffix '.foo'"),
+        ([JACKSBORO, "nowhere/x.gpkg"], 4, "no directory"),
+        ([JACKSBORO, JACKSBORO], 4, "unknown suffix"),
+        ([SAMPLES / "jacksboro.tif", SAMPLES / "jacksboro.tif", "--overwrite"], 4, "input"),
+        ([JACKSBORO, "x.obj", "x.obj"], 4, "twice"),
+        ([JACKSBORO, "x.obj", "--json", "x.obj"], 4, "twice"),
+        ([JACKSBORO, "taken.gpkg"], 4, "exists already"),
+        ([JACKSBORO, "x.obj", "--json", "taken.gpkg"], 4, "exists already"),
+        ([JACKSBORO], 2, "OUTPUT"),
+        ([JACKSBORO, "x.gpkg", "--tolerance", "nan"], 2, "--tolerance"),
+        ([JACKSBORO, "x.gpkg", "--tolerance=-1"], 2, "--tolerance"),
+        ([JACKSBORO, "x.gpkg", "--max-points", "3"], 2, "at least 4"),
+        ([JACKSBORO, "x.gpkg", "--method", "best"], 2, "auto, median, max"),
+        ([JACKSBORO, "x.gpkg", "--no-such"], 2, "--no-such"),
+        ([JACKSBORO, "x.gpkg", "--band", "2"], 3, "band"),
+    ],
+)
+def test_a_mistake_gets_one_line_and_the_right_exit_code(tmp_path, arguments, code, words):
+    (tmp_path / "taken.gpkg").write_text("mine")
+    before = sorted(tmp_path.iterdir())
+    done = run(*arguments, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(SAMPLES.parent)})
+    assert done.returncode == code
+    assert done.stdout == ""
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("dem2tin: ")
+    assert sorted(tmp_path.iterdir()) == before
+    assert (tmp_path / "taken.gpkg").read_text() == "mine"
+
+
+def test_overwrite_replaces_and_quiet_is_quiet(tmp_path):
+    (tmp_path / "x.obj").write_text("old")
+    done = run(JACKSBORO, tmp_path / "x.obj", "--overwrite", "--quiet")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert (tmp_path / "x.obj").read_text().startswith("#")
+
+
+def test_interrupt_ends_with_130_and_leaves_nothing(tmp_path):
+    big = tmp_path / "big.tif"
+    profile = {"driver": "GTiff", "width": 3000, "height": 3000, "count": 1, "dtype": "float32"}
+    transform = rasterio.Affine(30.0, 0.0, 0.0, 0.0, -30.0, 0.0)
+    with rasterio.open(big, "w", transform=transform, crs="EPSG:32610", **profile) as file:
+        file.write(hills(3000, 3000).astype("float32"), 1)
+    process = subprocess.Popen(command(big, tmp_path / "x.gpkg"), stderr=subprocess.PIPE, text=True)
+    time.sleep(2.0)
+    process.send_signal(signal.SIGINT)
+    asked = time.perf_counter()
+    _, said = process.communicate()
+    assert time.perf_counter() - asked < 2.0
+    assert process.returncode == 130
+    assert said == "dem2tin: interrupted\n"
+    assert list(tmp_path.iterdir()) == [big]
+
+
+def test_help_names_every_option():
+    shown = run("--help").stdout
+    for option in cli.options.OPTIONS:
+        assert option.flag in shown
+
+
+def test_help_does_not_import_the_raster_libraries():
+    code = "import sys; from tin import cli; cli.parser(); sys.exit('rasterio' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_height_factor_and_feet(tmp_path):
+    run(JACKSBORO, tmp_path / "x.obj", "--z-factor", "3.280839895", "--max-points", "50", "--quiet")
+    vertices, _ = read_obj(tmp_path / "x.obj")
+    assert vertices[:, 2].max() > 3000
