@@ -144,12 +144,91 @@ fn straighten_start(ring: &mut Chain) {
     }
 }
 
+/// The chain with the fewest corners that keeps all data on its positive side and all
+/// void pixel centres on the other: it takes in void area, never a void pixel, and
+/// strays less than a pixel. No pixel centre lies between it and the exact chain,
+/// which is why simplified chains cannot cross each other either.
+pub fn simplify(chain: &Chain) -> Chain {
+    let corners = if chain.first() == chain.last() { from_extreme(chain) } else { chain.clone() };
+    let n = corners.len();
+    // Fewest segments from corner 0 to each corner, and the corner before it.
+    let mut best = vec![(usize::MAX, 0usize); n];
+    best[0].0 = 0;
+    for i in 0..n - 1 {
+        let count = best[i].0 + 1;
+        reach(&corners, i, |j| {
+            if count < best[j].0 {
+                best[j] = (count, i);
+            }
+        });
+    }
+    let mut kept = vec![corners[n - 1]];
+    let mut at = n - 1;
+    while at > 0 {
+        at = best[at].1;
+        kept.push(corners[at]);
+    }
+    kept.reverse();
+    kept
+}
+
+/// The ring starting at its first corner in (column, row) order, where it must bend.
+fn from_extreme(ring: &Chain) -> Chain {
+    let open = &ring[..ring.len() - 1];
+    let start = (0..open.len()).min_by_key(|&i| open[i]).unwrap_or(0);
+    let mut turned: Chain = open[start..].iter().chain(&open[..start]).copied().collect();
+    turned.push(turned[0]);
+    turned
+}
+
+/// Calls `visit(j)` for every corner j > i that a chord from corner i can reach: the
+/// corners between are on or left of it, the void pixels beside the chain right of it.
+fn reach(corners: &Chain, i: usize, mut visit: impl FnMut(usize)) {
+    type Vector = (i64, i64);
+    let cross = |u: Vector, v: Vector| u.0 * v.1 - u.1 * v.0;
+    let from = |p: (i32, i32)| (i64::from(p.0 - corners[i].0), i64::from(p.1 - corners[i].1));
+    // Directions between `void` (excluded) and `data` (included) remain.
+    let (mut data, mut void): (Option<Vector>, Option<Vector>) = (None, None);
+    for j in i + 1..corners.len() {
+        for q in voids_beside(corners[j - 1], corners[j]).map(from) {
+            if void.is_none_or(|v| cross(v, q) > 0) {
+                void = Some(q);
+            }
+        }
+        let p = from(corners[j]);
+        let is_open =
+            |v: Vector| void.is_none_or(|q| cross(q, v) > 0) && data.is_none_or(|d| cross(v, d) >= 0);
+        if j == i + 1 || is_open(p) {
+            visit(j);
+        }
+        if data.is_none_or(|d| cross(p, d) > 0) {
+            data = Some(p);
+        }
+        if let (Some(d), Some(q)) = (data, void) {
+            if cross(q, d) <= 0 {
+                return;
+            }
+        }
+    }
+}
+
+/// The pixels right of the first and the last step of the straight run from `a` to `b`.
+fn voids_beside(a: (i32, i32), b: (i32, i32)) -> [(i32, i32); 2] {
+    let (dx, dy) = ((b.0 - a.0).signum(), (b.1 - a.1).signum());
+    let (rx, ry) = (dy, -dx);
+    if dx == 0 || dy == 0 {
+        [(a.0 + rx, a.1 + ry), (b.0 + rx, b.1 + ry)]
+    } else {
+        [(a.0 + (rx + dx) / 2, a.1 + (ry + dy) / 2), (b.0 + (rx - dx) / 2, b.1 + (ry - dy) / 2)]
+    }
+}
+
 /// The mesh of the outline alone: every triangle is data or void, the edges
 /// between the two are constrained.
 ///
 /// Errors: `no-area` if no three neighbouring valid pixels span an area.
 pub fn outline_mesh<T: Height>(grid: &Grid<T>, metric: Metric) -> Result<Mesh> {
-    let chains = trace(grid);
+    let chains: Vec<Chain> = trace(grid).iter().map(simplify).collect();
     if chains.is_empty() {
         return Err(Error::input(
             "no-area",
