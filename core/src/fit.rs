@@ -165,22 +165,31 @@ pub struct Blend<'a, T> {
 }
 
 impl<T: Height> Blend<'_, T> {
-    /// The share s of the smoothed image in the target of the fit with the least
-    /// unbiased estimate of the risk (Stein 1981). With P the projection onto the
-    /// surfaces over `mesh`, G the smoothing and y the data, the fit is
-    /// P (y - s (y - G y)), and the risk is least at
-    /// s = noise^2 tr(P (I - G)) / |P (I - G) y|^2, the trace estimated as
-    /// p' P (I - G) p with the probe p (Hutchinson 1989) and charged at the cost of knots.
-    pub fn share(&self, mesh: &Mesh, z: &[f64], progress: &mut Progress) -> Result<f64> {
-        let (normal, [removed, probe, removed_probe]) =
-            Normal::assemble(mesh, z, &self.data, progress, |i, height, _| {
+    /// Fits the heights to the data and the smoothed image, mixed so that the
+    /// unbiased estimate of the risk (Stein 1981) is least; returns the share s of the
+    /// smoothed image. With P the projection onto the surfaces over `mesh`, G the
+    /// smoothing and y the data, the fit is P (y - s (y - G y)), and the risk is least
+    /// at s = noise^2 tr(P (I - G)) / |P (I - G) y|^2, the trace estimated as
+    /// p' P (I - G) p with the probe p (Hutchinson 1989) and charged at the cost of
+    /// knots.
+    pub fn fit(&self, mesh: &Mesh, z: &mut [f64], progress: &mut Progress) -> Result<f64> {
+        let (normal, [mut residual, removed, probe, removed_probe]) =
+            Normal::assemble(mesh, z, &self.data, progress, |i, height, plane| {
                 let probe = self.probe[i].to_f64();
-                [height - self.smooth[i].to_f64(), probe, probe - self.smooth_probe[i].to_f64()]
+                let removed = height - self.smooth[i].to_f64();
+                [height - plane, removed, probe, probe - self.smooth_probe[i].to_f64()]
             })?;
         let energy = dot(&normal.solve(removed.clone(), progress)?, &removed);
         let trace = dot(&normal.solve(removed_probe, progress)?, &probe);
         let share = KNOT_COST * self.noise * self.noise * trace / energy;
-        Ok(if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) })
+        let share = if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) };
+        for (residual, removed) in residual.iter_mut().zip(removed) {
+            *residual -= share * removed;
+        }
+        for (z, change) in z.iter_mut().zip(normal.solve(residual, progress)?) {
+            *z += change;
+        }
+        Ok(share)
     }
 }
 

@@ -13,6 +13,7 @@ pub mod fit;
 pub mod grid;
 pub mod measure;
 pub mod mesh;
+pub mod order;
 pub mod outline;
 pub mod pipeline;
 pub mod predicate;

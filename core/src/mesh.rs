@@ -34,6 +34,11 @@ impl Triangle {
     pub fn is_constrained(&self, k: usize) -> bool {
         self.flags >> k & 1 != 0
     }
+
+    /// The same triangle in a mesh with other numbers.
+    pub(crate) fn renumbered(&self, vertex: impl FnMut(u32) -> u32, twin: impl FnMut(u32) -> u32) -> Self {
+        Triangle { v: self.v.map(vertex), twin: self.twin.map(twin), ..*self }
+    }
 }
 
 /// Where a point fell.
@@ -249,6 +254,13 @@ impl Mesh {
         self.points.push(p);
         self.legalise();
         vertex
+    }
+
+    /// Takes over a renumbered form of itself.
+    pub(crate) fn replace(&mut self, points: Vec<Point>, triangles: Vec<Triangle>) {
+        self.points = points;
+        self.triangles = triangles;
+        self.touched.clear();
     }
 
     fn link(&mut self, a: u32, b: u32) {

@@ -4,6 +4,7 @@ use crate::error::{Error, Result};
 use crate::fit::{fit_heights, flip_pass, Blend};
 use crate::grid::{Grid, Height};
 use crate::mesh::Mesh;
+use crate::order::by_place;
 use crate::outline::outline_mesh;
 use crate::predicate::Metric;
 use crate::progress::Progress;
@@ -120,14 +121,16 @@ pub fn triangulate<T: Height>(
         stop = refiner.run(&Grid::new(&finest, grid.rows(), grid.cols())?, &rule, limit, progress)?;
     }
 
-    let mut delaunay = true;
-    if options.fit || options.flips > 0 {
-        let target = fit_target(&refiner, &data, finest, noise, scales[scales.len() - 1], progress)?;
-        let target = Grid::new(&target, grid.rows(), grid.cols())?;
-        delaunay = improve(&mut refiner, &target, options, progress)?;
-        if bounded {
-            stop = restore_bound(&mut refiner, &data, options, progress)?;
-        }
+    progress.stage("order")?;
+    by_place(&mut refiner.mesh, &mut refiner.z);
+    let target = if options.fit {
+        fit(&mut refiner, &data, finest, noise, scales[scales.len() - 1], progress)?
+    } else {
+        finest
+    };
+    let delaunay = flip(&mut refiner, &Grid::new(&target, grid.rows(), grid.cols())?, options, progress)?;
+    if bounded && (options.fit || options.flips > 0) {
+        stop = restore_bound(&mut refiner, &data, options, progress)?;
     }
     if stop == Stop::Tolerance && options.stop_at_noise {
         stop = Stop::Noise;
@@ -170,25 +173,26 @@ fn prepare<T: Height>(grid: &Grid<T>, options: &Options, progress: &mut Progress
     Ok(Images { data, spikes: removed, noise })
 }
 
-/// The image the heights are fitted to: the data with as much of the smoothed image
-/// mixed in as the noise that the mesh would still follow calls for.
-fn fit_target<T: Height>(
-    refiner: &Refiner,
+/// Fits the heights to the data, with as much of the smoothed image mixed in as the
+/// noise that the mesh would still follow calls for; returns that mixture.
+fn fit<T: Height>(
+    refiner: &mut Refiner,
     data: &Grid<T>,
     mut smooth: Vec<T>,
     noise: f64,
     sigma: [f64; 2],
     progress: &mut Progress,
 ) -> Result<Vec<T>> {
+    progress.stage("fit")?;
     if noise == 0.0 || sigma == [0.0; 2] {
+        fit_heights(&refiner.mesh, &mut refiner.z, data, progress)?;
         return Ok(data.z().to_vec());
     }
-    progress.stage("fit")?;
     let probe: Vec<T> =
         (0..).zip(data.z()).map(|(i, z)| T::from_f64(random_sign(i) + 0.0 * z.to_f64())).collect();
     let smooth_probe = gaussian(&Grid::new(&probe, data.rows(), data.cols())?, sigma, progress)?;
     let blend = Blend { data: *data, smooth: &smooth, probe: &probe, smooth_probe: &smooth_probe, noise };
-    let share = blend.share(&refiner.mesh, &refiner.z, progress)?;
+    let share = blend.fit(&refiner.mesh, &mut refiner.z, progress)?;
     for (smooth, data) in smooth.iter_mut().zip(data.z()) {
         *smooth = T::from_f64(share * smooth.to_f64() + (1.0 - share) * data.to_f64());
     }
@@ -207,31 +211,24 @@ fn random_sign(i: u64) -> f64 {
     }
 }
 
-/// Fits heights, then flips and fits again; whether the mesh is still Delaunay.
-fn improve<T: Height>(
+/// Flips edges, each round followed by a fit; whether the mesh is still Delaunay.
+fn flip<T: Height>(
     refiner: &mut Refiner,
     target: &Grid<T>,
     options: &Options,
     progress: &mut Progress,
 ) -> Result<bool> {
-    let mut delaunay = true;
-    if options.fit {
-        progress.stage("fit")?;
-        fit_heights(&refiner.mesh, &mut refiner.z, target, progress)?;
-    }
-    for _ in 0..options.flips {
+    for round in 0..options.flips {
         progress.stage("flip")?;
-        let flips = flip_pass(&mut refiner.mesh, &refiner.z, target, progress)?;
-        delaunay &= flips == 0;
+        if flip_pass(&mut refiner.mesh, &refiner.z, target, progress)? == 0 {
+            return Ok(round == 0);
+        }
         if options.fit {
             progress.stage("fit")?;
             fit_heights(&refiner.mesh, &mut refiner.z, target, progress)?;
         }
-        if flips == 0 {
-            break;
-        }
     }
-    Ok(delaunay)
+    Ok(options.flips == 0)
 }
 
 /// Brings every pixel of `data` back within the tolerance: vertices are moved to

@@ -12,7 +12,7 @@ use crate::mesh::Mesh;
 use crate::predicate::Point;
 use crate::progress::Progress;
 use crate::queue::{Candidate, Queue};
-use crate::scan::{for_each_pixel, worst, Corners};
+use crate::scan::{collect, for_each_pixel, warm, worst, Corners};
 
 /// How triangles are ranked, what is inserted and when to stop.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -116,6 +116,7 @@ impl Refiner {
             self.mesh.insert_in(Point::pixel(col, row), best.triangle);
             self.z.push(grid.at(col, row));
             self.mesh.take_touched(&mut self.touched);
+            warm(grid, self.touched.iter().flat_map(|&t| self.mesh.corners(t)));
             let mut work = 64;
             for i in 0..self.touched.len() {
                 work += self.enqueue(grid, rule, self.touched[i]);
@@ -140,24 +141,24 @@ impl Refiner {
         }
         let version = triangle.version;
         let (p, z) = (self.mesh.corners(t), self.heights(t));
-        let worst = worst(grid, p, z, Corners::Excluded);
+        let is_max = rule.priority == 1.0 && rule.candidate == 1.0 && rule.bound == 1.0;
+        let worst = if is_max {
+            worst(grid, p, z, Corners::Excluded)
+        } else {
+            collect(grid, p, z, Corners::Excluded, &mut self.errors)
+        };
+        let work = worst.count * if is_max { 1 } else { 4 };
         // The maximum bounds every quantile.
         if worst.error < 0.0 || (worst.error <= rule.tolerance && rule.tolerance > 0.0) {
-            return worst.count;
+            return work;
         }
         let (mut priority, mut col, mut row) = (worst.error, worst.col, worst.row);
-        if rule.priority < 1.0 || rule.candidate < 1.0 || rule.bound < 1.0 {
-            self.errors.clear();
-            let errors = &mut self.errors;
-            // Of numbers that are not negative the bits sort like the values.
-            for_each_pixel(grid, p, z, Corners::Excluded, |_, _, z, plane| {
-                errors.push((z - plane).abs().to_bits());
-            });
-            if select(errors, rule.bound) <= rule.tolerance && rule.tolerance > 0.0 {
-                return 2 * worst.count;
+        if !is_max {
+            if rule.tolerance > 0.0 && select(&mut self.errors, rule.bound) <= rule.tolerance {
+                return work;
             }
             if rule.candidate < 1.0 {
-                let at = select(errors, rule.candidate);
+                let at = select(&mut self.errors, rule.candidate);
                 let mut found = false;
                 for_each_pixel(grid, p, z, Corners::Excluded, |c, r, z, plane| {
                     if !found && (z - plane).abs() == at {
@@ -165,7 +166,7 @@ impl Refiner {
                     }
                 });
             }
-            priority = select(errors, rule.priority);
+            priority = select(&mut self.errors, rule.priority);
         }
         priority *= match rule.weight {
             0.0 => 1.0,
@@ -177,12 +178,15 @@ impl Refiner {
         }
         let pixel = row as u64 * grid.cols() as u64 + col as u64;
         self.queue.push(Candidate { priority, pixel, triangle: t, version });
-        2 * worst.count
+        work
     }
 }
 
 /// The quantile `q` of the errors whose bits these are; reorders them.
 fn select(errors: &mut [u64], q: f64) -> f64 {
     let index = quantile_index(errors.len(), q);
+    if index + 1 == errors.len() {
+        return f64::from_bits(errors.iter().fold(0, |a, &b| a.max(b)));
+    }
     f64::from_bits(*errors.select_nth_unstable(index).1)
 }

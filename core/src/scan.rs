@@ -197,6 +197,65 @@ pub fn worst<T: Height>(grid: &Grid<T>, p: [Point; 3], z: [f64; 3], corners: Cor
     worst
 }
 
+/// Reads a pixel of every cache line that the box around `points` touches, if it is
+/// small: these loads overlap, while those of the walks to come wait for each other.
+#[inline]
+pub fn warm<T: Height>(grid: &Grid<T>, points: impl Iterator<Item = Point>) {
+    const LINE: usize = 16;
+    const FEW: i32 = 48;
+    let (mut low, mut high) = (Point { x: i32::MAX, y: i32::MAX }, Point { x: 0, y: 0 });
+    for p in points {
+        low = Point { x: low.x.min(p.x), y: low.y.min(p.y) };
+        high = Point { x: high.x.max(p.x), y: high.y.max(p.y) };
+    }
+    let (width, height) = ((high.x - low.x) >> SUB_BITS, (high.y - low.y) >> SUB_BITS);
+    if width > FEW || height > FEW {
+        return;
+    }
+    let (first, last) = ((low.x >> SUB_BITS) as usize, (high.x >> SUB_BITS) as usize);
+    let mut sum = 0.0;
+    for row in low.y >> SUB_BITS..=high.y >> SUB_BITS {
+        let heights = grid.row(row as usize);
+        sum += heights[last].to_f64();
+        for height in heights[first..last].iter().step_by(LINE) {
+            sum += height.to_f64();
+        }
+    }
+    std::hint::black_box(sum);
+}
+
+/// As [`worst`], and collects the bits of all errors: of numbers that are not
+/// negative they sort like the values. The triangle must not cover a void.
+#[inline]
+pub fn collect<T: Height>(
+    grid: &Grid<T>,
+    p: [Point; 3],
+    z: [f64; 3],
+    corners: Corners,
+    errors: &mut Vec<u64>,
+) -> Worst {
+    let plane = Plane::through(p, z);
+    let mut worst = Worst { count: 0, error: -1.0, col: 0, row: 0 };
+    errors.clear();
+    for_each_span(p, corners, |row, first, end| {
+        let on_row = plane.on_row(row);
+        let from = errors.len();
+        errors.extend(
+            (first..end)
+                .zip(&grid.row(row)[first..end])
+                .map(|(col, height)| (height.to_f64() - plane.at(on_row, col)).abs().to_bits()),
+        );
+        for (col, &bits) in (first..end).zip(&errors[from..]) {
+            let error = f64::from_bits(bits);
+            if error > worst.error {
+                worst = Worst { error, col, row, ..worst };
+            }
+        }
+    });
+    worst.count = errors.len();
+    worst
+}
+
 /// Largest |z - plane| of whole lanes, written so that it vectorises.
 #[inline]
 fn row_maximum<T: Height>(heights: &[T], plane: Plane, on_row: f64, first: usize) -> f64 {

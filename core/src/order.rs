@@ -1,0 +1,59 @@
+//! Renumbering along a space-filling curve: what is near on the ground gets near in
+//! memory, which the passes over all triangles repay several times.
+
+use crate::mesh::{half_edge, triangle_of, Mesh, Triangle, NONE};
+use crate::predicate::{Point, SUB_BITS};
+
+/// Position along the Z-order curve of the pixel that holds the centroid.
+fn curve_position([a, b, c]: [Point; 3]) -> u64 {
+    let mean = |a: i32, b: i32, c: i32| ((i64::from(a) + i64::from(b) + i64::from(c)) / 3) as u64 >> SUB_BITS;
+    spread(mean(a.x, b.x, c.x)) | spread(mean(a.y, b.y, c.y)) << 1
+}
+
+/// Puts a zero between the bits of a number below 2^32.
+fn spread(mut v: u64) -> u64 {
+    for (shift, mask) in [
+        (16, 0x0000_ffff_0000_ffff),
+        (8, 0x00ff_00ff_00ff_00ff),
+        (4, 0x0f0f_0f0f_0f0f_0f0f),
+        (2, 0x3333_3333_3333_3333),
+        (1, 0x5555_5555_5555_5555),
+    ] {
+        v = (v | v << shift) & mask;
+    }
+    v
+}
+
+/// Sorts the triangles along the curve, and the vertices and their heights `z` by the
+/// first triangle that uses them.
+pub fn by_place(mesh: &mut Mesh, z: &mut Vec<f64>) {
+    let count = mesh.triangles().len() as u32;
+    let mut order: Vec<(u64, u32)> = (0..count).map(|t| (curve_position(mesh.corners(t)), t)).collect();
+    order.sort_unstable();
+    let mut new_triangle = vec![0; count as usize];
+    for (new, &(_, old)) in order.iter().enumerate() {
+        new_triangle[old as usize] = new as u32;
+    }
+    let mut new_vertex = vec![NONE; z.len()];
+    let (mut points, mut heights) = (Vec::with_capacity(z.len()), Vec::with_capacity(z.len()));
+    let mut renumber = |v: u32| {
+        let number = &mut new_vertex[v as usize];
+        if *number == NONE {
+            *number = points.len() as u32;
+            points.push(mesh.point(v));
+            heights.push(z[v as usize]);
+        }
+        *number
+    };
+    let move_twin = |h: u32| {
+        if h == NONE {
+            NONE
+        } else {
+            half_edge(new_triangle[triangle_of(h) as usize], h & 3)
+        }
+    };
+    let triangles: Vec<Triangle> =
+        order.iter().map(|&(_, old)| mesh.triangle(old).renumbered(&mut renumber, move_twin)).collect();
+    mesh.replace(points, triangles);
+    *z = heights;
+}
