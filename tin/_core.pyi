@@ -16,20 +16,22 @@ class Mesh:
         """(m, 3) corners of each triangle, turning from +column to +row."""
     def constrained(self) -> npt.NDArray[np.bool_]:
         """(m, 3) whether the edge from corner k to corner k + 1 is a constraint."""
-    def errors(self, z: npt.NDArray[np.floating[Any]]) -> tuple[dict[str, Any], npt.NDArray[np.float64]]:
+    def errors(
+        self, z: npt.NDArray[np.floating[Any]], progress: Callable[[str, float], Any] | None = None
+    ) -> tuple[dict[str, Any], npt.NDArray[np.float64]]:
         """Statistics against a raster of the same shape, and each triangle's largest absolute error."""
     def rasterize_f32(self) -> npt.NDArray[np.float32]:
         """(rows, cols) heights on the pixel centres, NaN where no triangle is."""
     def rasterize_f64(self) -> npt.NDArray[np.float64]:
         """(rows, cols) heights on the pixel centres, NaN where no triangle is."""
+    def spikes(self) -> npt.NDArray[np.uint64]:
+        """(k,) indices (row * cols + col) of the pixels that despiking replaced."""
     def check(self) -> None:
         """Raises RuntimeError with the first property of the mesh that does not hold."""
     @property
     def stop_reason(self) -> str: ...
     @property
     def noise(self) -> float: ...
-    @property
-    def spikes(self) -> list[int]: ...
     @property
     def scales(self) -> list[tuple[float, float]]: ...
     @property

@@ -25,15 +25,18 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[Any]
 
-SIZE = (13.0, 11.0)  # inches
+WIDTH, MIN_HEIGHT, MAX_HEIGHT = 13.0, 9.0, 15.0  # inches
 DPI = 130
 MAP_PIXELS = 800  # about what one map has on the screen, along its longer side
+ERROR_BLOCKS = 250  # of the map of local errors: single ones would be a fine grain
 MIN_SIDE = 4.0  # screen pixels: below it the sides of triangles merge into a grey
 CLOSE_UP = 900  # triangles in the close-up
 VOID_COLOUR = "#e4e4e4"
 MESH_COLOUR = "#14324a"
+LAND_COLOURS = ("#5f8f74", "#9db57f", "#d9cd98", "#bf9a6b", "#96755c", "#f2efec")  # low to high
 OUTLINE_COLOUR = "#c1121f"
 ERROR_COLOURS = "RdBu_r"
+BLOCK_COLOURS = "YlOrRd"
 SUN_AZIMUTH, SUN_ALTITUDE = math.radians(315.0), math.radians(45.0)
 
 
@@ -48,10 +51,14 @@ def figure(tin: Tin) -> Figure:
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
-    except ImportError as error:
-        raise OutputError("missing-library", f"a picture needs matplotlib ({error}): install it") from error
+        from matplotlib.layout_engine import ConstrainedLayoutEngine
+    except ImportError as missing:
+        raise OutputError(
+            "missing-library", f"a picture needs matplotlib ({missing}): install it"
+        ) from missing
 
-    made = Figure(figsize=SIZE, dpi=DPI, facecolor="white", layout="constrained")
+    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12)
+    made = Figure(figsize=(WIDTH, _height(tin.dem)), dpi=DPI, facecolor="white", layout=layout)
     FigureCanvasAgg(made)
     (terrain, errors), (close_up, histogram) = made.subplots(2, 2)
     _title(made, tin)
@@ -96,16 +103,32 @@ class Window:
         return np.column_stack(dem.pixel_to_map(col, row))
 
 
+def _height(dem: DEM) -> float:
+    """Inches that suit two rows of maps of the DEM's shape."""
+    x, y = Window(0, 0, dem.rows, dem.cols).corners(dem).T
+    shape = _aspect(dem) * np.ptp(y) / np.ptp(x)
+    return float(np.clip(2.0 * (0.37 * WIDTH * shape + 0.8), MIN_HEIGHT, MAX_HEIGHT))
+
+
+def _aspect(dem: DEM) -> float:
+    """Length on the ground of a unit of the map's y, as a multiple of that of x."""
+    a, b, _, d, e, _ = dem.transform
+    along_x, _, along_y = dem.metric()
+    return math.sqrt(along_y / (b * b + e * e)) / math.sqrt(along_x / (a * a + d * d))
+
+
 def _close_up_window(tin: Tin) -> Window:
-    """The window of the DEM's shape, with about CLOSE_UP triangles, that has the most vertices."""
+    """The window with the most vertices, for about CLOSE_UP triangles and nearly of the DEM's shape."""
     rows, cols = tin.dem.shape
-    share = min(0.4, math.sqrt(CLOSE_UP / max(1, len(tin.triangles))))
-    height, width = (max(min(4, n), round(share * n)) for n in (rows, cols))
+    area = min(0.16, CLOSE_UP / max(1, len(tin.triangles))) * rows * cols
+    shape = min(2.0, max(0.5, rows / cols))
+    height = min(rows, max(4, round(math.sqrt(area * shape))))
+    width = min(cols, max(4, round(math.sqrt(area / shape))))
     # Counted in cells of half a window, and summed over two by two of them.
     half = max(1, height // 2), max(1, width // 2)
-    shape = rows // half[0] + 1, cols // half[1] + 1
     cell = (tin.pixels[:, ::-1] // half).astype(int)
-    counts = np.bincount(cell[:, 0] * shape[1] + cell[:, 1], minlength=shape[0] * shape[1]).reshape(shape)
+    counts = np.zeros((rows // half[0] + 2, cols // half[1] + 2), dtype=int)
+    np.add.at(counts, (cell[:, 0], cell[:, 1]), 1)
     sums = counts[:-1, :-1] + counts[1:, :-1] + counts[:-1, 1:] + counts[1:, 1:]
     row, col = np.unravel_index(np.argmax(sums), sums.shape)
     return Window(
@@ -133,7 +156,7 @@ def _title(made: Figure, tin: Tin) -> None:
         f"{name}: {points:,} points, {triangles:,} triangles", fontsize=17, weight="bold", parse_math=False
     )
     crs = "no CRS" if dem.crs is None else f"{_printable(str(dem.crs))}"
-    if dem.crs is not None and dem.crs.name and dem.crs.name not in crs:
+    if dem.crs is not None and dem.crs.name not in ("", "unnamed", crs):
         crs += f" ({_printable(dem.crs.name)})"
     share = 100.0 * points / max(1, dem.n_valid)
     text = f"{dem.cols:,} × {dem.rows:,} pixels, {share:.3g} % of the valid ones are vertices  ·  {crs}"
@@ -155,39 +178,40 @@ def _unit(tin: Tin) -> str:
 
 def _draw_terrain(axes: Axes, tin: Tin, window: Window, *, heights_shown: bool) -> None:
     """Hillshade of ``window`` over a tint by height."""
-    from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
-    z, step = _thinned(window.of(tin.dem.z))
+    step = _thinning(window, MAP_PIXELS)
+    z = _block_means(window.of(tin.dem.z), step)
     shown = z[np.isfinite(z)]
     low, high = np.percentile(shown, (0.5, 99.5)) if shown.size else (0.0, 1.0)
-    tint = LinearSegmentedColormap.from_list("land", colormaps["gist_earth"](np.linspace(0.3, 0.92, 64)))
+    tint = LinearSegmentedColormap.from_list("land", LAND_COLOURS)
     scale = Normalize(low, high if high > low else low + 1.0)
     colours = tint(scale(np.where(np.isfinite(z), z, low)))
     shade = _hillshade(z, tin.dem, step)[..., None]
-    colours[..., :3] = (0.45 * colours[..., :3] + 0.55) * (0.35 + 0.65 * shade)
+    colours[..., :3] = (0.7 * colours[..., :3] + 0.3) * (0.3 + 0.9 * shade)
     colours[..., 3] = np.isfinite(z)
     _draw_image(axes, tin.dem, window, np.clip(colours, 0.0, 1.0))
     if heights_shown:
         _colour_bar(axes, ScalarMappable(scale, tint), f"height{_unit(tin)}")
 
 
-def _thinned(z: Array) -> tuple[Array, int]:
-    """``z`` as float64, averaged over blocks so that it is not much larger than a map on the screen."""
-    step = max(1, math.ceil(max(z.shape) / MAP_PIXELS))
-    if step == 1:
-        return z.astype(np.float64), 1
-    rows, cols = (-(-n // step) for n in z.shape)
-    thin = np.full((rows, cols), np.nan)
-    for row in range(rows):
-        lines = z[row * step : (row + 1) * step]
+def _thinning(window: Window, most: int) -> int:
+    """Side of the blocks of pixels to average for an image of at most ``most`` by ``most`` blocks."""
+    return max(1, math.ceil(max(window.rows, window.cols) / most))
+
+
+def _block_means(values: Array, step: int, power: int = 1) -> Array:
+    """Mean of ``values ** power`` over the valid pixels of each block of ``step`` by ``step``, else NaN."""
+    starts = np.arange(0, values.shape[1], step)
+    means = np.full((-(-values.shape[0] // step), len(starts)), np.nan)
+    for row, mean in enumerate(means):
+        lines = values[row * step : (row + 1) * step].astype(np.float64)
         valid = np.isfinite(lines)
-        starts = np.arange(0, z.shape[1], step)
-        total = np.add.reduceat(np.where(valid, lines, 0.0).sum(axis=0, dtype=np.float64), starts)
+        total = np.add.reduceat(np.where(valid, lines**power, 0.0).sum(axis=0), starts)
         count = np.add.reduceat(valid.sum(axis=0), starts)
-        np.divide(total, count, out=thin[row], where=count > 0)
-    return thin, step
+        np.divide(total, count, out=mean, where=count > 0)
+    return means
 
 
 def _hillshade(z: Array, dem: DEM, step: int) -> Array:
@@ -213,8 +237,8 @@ def _hillshade(z: Array, dem: DEM, step: int) -> Array:
 
 def _draw_image(axes: Axes, dem: DEM, window: Window, image: Array, **settings: Any) -> Any:
     """``image`` where ``window`` lies on the map, for any geotransform."""
-    from matplotlib.transforms import Affine2D
     from matplotlib.ticker import StrMethodFormatter
+    from matplotlib.transforms import Affine2D
 
     a, b, c, d, e, f = dem.transform
     extent = (window.col, window.col + window.cols, window.row + window.rows, window.row)
@@ -224,10 +248,11 @@ def _draw_image(axes: Axes, dem: DEM, window: Window, image: Array, **settings: 
     x, y = window.corners(dem).T
     axes.set_xlim(x.min(), x.max())
     axes.set_ylim(y.min(), y.max())
-    along_x, _, along_y = dem.metric()
-    axes.set_aspect(math.sqrt(along_y / (b * b + e * e)) / math.sqrt(along_x / (a * a + d * d)))
+    axes.set_aspect(_aspect(dem))
     axes.set_facecolor(VOID_COLOUR)
-    axes.locator_params(nbins=5)
+    shape = _aspect(dem) * np.ptp(y) / np.ptp(x)
+    axes.locator_params(axis="x", nbins=max(2, round(5 * min(1.0, 1.0 / shape))))
+    axes.locator_params(axis="y", nbins=max(2, round(5 * min(1.0, shape))))
     axes.tick_params(labelsize=8)
     is_degrees = dem.crs is not None and dem.crs.is_geographic
     names = (
@@ -252,10 +277,13 @@ def _colour_bar(axes: Axes, colours: Any, label: str, **settings: Any) -> None:
     bar.ax.tick_params(labelsize=8)
 
 
-def _draw_frame(axes: Axes, dem: DEM, window: Window) -> None:
+def _draw_frame(axes: Axes, dem: DEM, window: Window, width: float = 2.0) -> Any:
     from matplotlib.patches import Polygon
 
-    axes.add_patch(Polygon(window.corners(dem), fill=False, edgecolor="black", linewidth=1.6, zorder=3))
+    frame = Polygon(window.corners(dem), fill=False, edgecolor="black", linewidth=width, zorder=3)
+    axes.add_patch(frame)
+    frame.set_clip_on(False)
+    return frame
 
 
 def _draw_mesh(axes: Axes, tin: Tin, window: Window, side: float) -> None:
@@ -268,13 +296,13 @@ def _draw_mesh(axes: Axes, tin: Tin, window: Window, side: float) -> None:
     seen = (corner.max(axis=1) >= (x.min(), y.min())) & (corner.min(axis=1) <= (x.max(), y.max()))
     triangles, constrained = tin.triangles[seen.all(axis=1)], tin.constrained[seen.all(axis=1)]
     edges = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=-1)
-    width = min(0.9, max(0.25, side / 25.0))
+    width, alpha = min(0.9, max(0.25, side / 30.0)), min(0.85, 0.4 + side / 60.0)
+    frame = _draw_frame(axes, tin.dem, window, width=0.0)
     for chosen, colour, factor in ((~constrained, MESH_COLOUR, 1.0), (constrained, OUTLINE_COLOUR, 2.0)):
         unique = np.unique(edges[chosen], axis=0)
-        axes.add_collection(
-            LineCollection(place[unique], colors=colour, linewidths=factor * width, alpha=0.85, zorder=2),
-            autolim=False,
-        )
+        lines = LineCollection(place[unique], colors=colour, linewidths=factor * width, alpha=alpha, zorder=2)
+        axes.add_collection(lines, autolim=False)
+        lines.set_clip_path(frame)
 
 
 def _robust_limit(error: Array) -> float:
@@ -287,21 +315,24 @@ def _robust_limit(error: Array) -> float:
 
 
 def _draw_errors(axes: Axes, tin: Tin, error: Array, limit: float) -> None:
-    from matplotlib.colors import Normalize
-
-    # Every n-th pixel as it is: averages would hide the errors, extremes exaggerate them.
-    step = max(1, math.ceil(max(error.shape) / (2 * MAP_PIXELS)))
+    """The signed error of every pixel; where the screen has too few, the root mean square of blocks."""
     whole = Window(0, 0, tin.dem.rows, tin.dem.cols)
-    thin = np.ma.masked_invalid(error[::step, ::step])
-    shown = _draw_image(axes, tin.dem, whole, thin, cmap=ERROR_COLOURS, norm=Normalize(-limit, limit))
-    _colour_bar(axes, shown, f"TIN − DEM{_unit(tin)}: blue is too low, red too high", extend="both")
-    axes.set_title("Error")
+    if _thinning(whole, MAP_PIXELS) == 1:
+        shown = _draw_image(axes, tin.dem, whole, error, cmap=ERROR_COLOURS, vmin=-limit, vmax=limit)
+        _colour_bar(axes, shown, f"TIN − DEM{_unit(tin)}: blue is too low, red too high", extend="both")
+        axes.set_title("Error (ring: the largest)")
+    else:
+        # Signed errors change within a screen pixel: one by one they mix to a grey, and means to nothing.
+        step = _thinning(whole, ERROR_BLOCKS)
+        blocks = np.sqrt(_block_means(error, step, power=2))
+        most = _robust_limit(blocks)
+        shown = _draw_image(axes, tin.dem, whole, blocks, cmap=BLOCK_COLOURS, vmin=0.0, vmax=most)
+        _colour_bar(axes, shown, f"RMSE in {step} × {step} pixels{_unit(tin)}", extend="max")
+        axes.set_title("Local RMSE (ring: the largest error)")
     if np.isfinite(error).any():
         row, col = np.unravel_index(np.nanargmax(np.abs(error)), error.shape)
         x, y = tin.dem.pixel_to_map(np.array([col]), np.array([row]))
-        axes.plot(x, y, "o", markersize=11, markerfacecolor="none", markeredgecolor="black")
-        axes.plot([], [], "o", markerfacecolor="none", markeredgecolor="black", label="largest error")
-        axes.legend(loc="lower right", fontsize=8, framealpha=0.8)
+        axes.plot(x, y, "o", markersize=12, markerfacecolor="none", markeredgecolor="black", clip_on=False)
 
 
 def _draw_histogram(axes: Axes, tin: Tin, error: Array, limit: float) -> None:
@@ -339,15 +370,12 @@ def _draw_histogram(axes: Axes, tin: Tin, error: Array, limit: float) -> None:
         fontsize=12, bbox={"boxstyle": "round", "facecolor": "white", "edgecolor": "#999999"},
     )  # fmt: skip
     outside = 100.0 - shares.sum() if covered else 0.0
-    notes = (
-        [f"{covered:,} pixels", f"{outside:.2g} % beyond the axis"]
-        if outside > 0.005
-        else [f"{covered:,} pixels"]
-    )
+    notes = [f"{covered:,} pixels"]
+    if outside > 0.005:
+        notes.append(f"{outside:.2g} % beyond the axis")
     if tin.report.spikes:
-        notes.append(
-            f"{tin.report.spikes:,} spikes taken out,\nmax without them {tin.report.max_error_without_spikes:.4g}"
-        )
+        without = tin.report.max_error_without_spikes
+        notes.append(f"spikes taken out: {tin.report.spikes:,}\nmax without them: {without:.4g}")
     if errors.uncovered:
         notes.append(f"{errors.uncovered:,} valid pixels not covered")
     axes.text(

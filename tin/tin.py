@@ -40,7 +40,7 @@ class Tin:
     """(m,) the largest absolute error of the DEM's pixels in each triangle."""
     report: Report
 
-    def __init__(self, core: _core.Mesh, dem: DEM, seconds: float) -> None:
+    def __init__(self, core: _core.Mesh, dem: DEM, seconds: float, progress: Progress | None = None) -> None:
         self._core = core
         self.dem = dem
         self.pixels = core.pixels()
@@ -53,19 +53,19 @@ class Tin:
         constrained = core.constrained()
         # Edge k joins corners k and k + 1: turned around, corners are 2 1 0 and edges 1 0 2.
         self.constrained = constrained if turn == slice(None) else constrained[:, [1, 0, 2]]
-        errors, self.triangle_errors = core.errors(dem.z)
+        errors, self.triangle_errors = core.errors(dem.z, progress)
         self._errors = Errors(**errors)
-        self.report = self._report(seconds)
+        self.report = self._report(seconds, progress)
         for array in (self.pixels, self.vertices, self.triangles, self.constrained, self.triangle_errors):
             array.flags.writeable = False
 
-    def _report(self, seconds: float) -> Report:
-        spikes = self._core.spikes
+    def _report(self, seconds: float, progress: Progress | None) -> Report:
+        spikes = self._core.spikes()
         without = self._errors.max_error
-        if spikes:
+        if len(spikes):
             kept = self.dem.z.copy()
             kept.ravel()[spikes] = np.nan
-            without = self._core.errors(kept)[0]["max_error"]
+            without = self._core.errors(kept, progress)[0]["max_error"]
         return Report(
             points=len(self.vertices),
             triangles=len(self.triangles),
@@ -95,7 +95,7 @@ class Tin:
     def spikes(self) -> npt.NDArray[np.bool_]:
         """(rows, cols) the pixels that despiking replaced."""
         spikes = np.zeros(self.dem.shape, dtype=bool)
-        spikes.ravel()[self._core.spikes] = True
+        spikes.ravel()[self._core.spikes()] = True
         return spikes
 
     def error(self) -> Errors:
@@ -167,7 +167,7 @@ def triangulate(
     core = _core.triangulate(
         dem.z, dem.metric(), initial=_initial(dem, points), progress=progress, **arguments
     )
-    return Tin(core, dem, time.perf_counter() - start)
+    return Tin(core, dem, time.perf_counter() - start, progress)
 
 
 def _initial(dem: DEM, points: npt.ArrayLike | None) -> list[tuple[int, int]]:

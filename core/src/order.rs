@@ -1,8 +1,10 @@
 //! Renumbering along a space-filling curve: what is near on the ground gets near in
 //! memory, which the passes over all triangles repay several times.
 
+use crate::error::Result;
 use crate::mesh::{half_edge, triangle_of, Mesh, Triangle, NONE};
 use crate::predicate::{Point, SUB_BITS};
+use crate::progress::Progress;
 
 /// Position along the Z-order curve of the pixel that holds the centroid.
 fn curve_position([a, b, c]: [Point; 3]) -> u64 {
@@ -26,10 +28,12 @@ fn spread(mut v: u64) -> u64 {
 
 /// Sorts the triangles along the curve, and the vertices and their heights `z` by the
 /// first triangle that uses them.
-pub fn by_place(mesh: &mut Mesh, z: &mut Vec<f64>) {
+pub fn by_place(mesh: &mut Mesh, z: &mut Vec<f64>, progress: &mut Progress) -> Result<()> {
     let count = mesh.triangles().len() as u32;
     let mut order: Vec<(u64, u32)> = (0..count).map(|t| (curve_position(mesh.corners(t)), t)).collect();
+    progress.stage("order")?;
     order.sort_unstable();
+    progress.stage("order")?;
     let mut new_triangle = vec![0; count as usize];
     for (new, &(_, old)) in order.iter().enumerate() {
         new_triangle[old as usize] = new as u32;
@@ -52,8 +56,12 @@ pub fn by_place(mesh: &mut Mesh, z: &mut Vec<f64>) {
             half_edge(new_triangle[triangle_of(h) as usize], h & 3)
         }
     };
-    let triangles: Vec<Triangle> =
-        order.iter().map(|&(_, old)| mesh.triangle(old).renumbered(&mut renumber, move_twin)).collect();
+    let mut triangles: Vec<Triangle> = Vec::with_capacity(order.len());
+    for &(_, old) in &order {
+        triangles.push(mesh.triangle(old).renumbered(&mut renumber, move_twin));
+        progress.poll(16, || triangles.len() as f64 / order.len() as f64)?;
+    }
     mesh.replace(points, triangles);
     *z = heights;
+    Ok(())
 }

@@ -10,6 +10,7 @@ use crate::error::{Error, Result};
 use crate::grid::{Grid, Height};
 use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
 use crate::predicate::{Metric, Point};
+use crate::progress::Progress;
 use std::collections::HashMap;
 
 /// A directed polyline of pixel centres (column, row), data on its positive side;
@@ -21,8 +22,8 @@ const CORNERS: [(usize, usize); 4] = [(0, 0), (1, 0), (1, 1), (0, 1)];
 
 /// The border of the cell complex, cut at the pixels where it touches itself.
 /// Points in the middle of straight runs are left out.
-pub fn trace<T: Height>(grid: &Grid<T>) -> Vec<Chain> {
-    chain_up(border_steps(grid), grid.cols() as u64)
+pub fn trace<T: Height>(grid: &Grid<T>, progress: &mut Progress) -> Result<Vec<Chain>> {
+    Ok(chain_up(border_steps(grid, progress)?, grid.cols() as u64))
 }
 
 /// Bits 0-3: the valid corners of each cell of a row of cells; 0 for a cell with
@@ -42,12 +43,13 @@ fn cell_row<T: Height>(grid: &Grid<T>, row: usize, cells: &mut Vec<u8>) {
 }
 
 /// Directed steps between neighbouring pixels (as raster indices) along the border.
-fn border_steps<T: Height>(grid: &Grid<T>) -> Vec<(u64, u64)> {
+fn border_steps<T: Height>(grid: &Grid<T>, progress: &mut Progress) -> Result<Vec<(u64, u64)>> {
     let cells = grid.cols() - 1;
     let (mut above, mut here, mut below) = (vec![0u8; cells], Vec::new(), Vec::new());
     let mut steps = Vec::new();
     cell_row(grid, 0, &mut here);
     for row in 0..grid.rows() - 1 {
+        progress.poll(cells, || row as f64 / grid.rows() as f64)?;
         if row + 2 < grid.rows() {
             cell_row(grid, row + 1, &mut below);
         } else {
@@ -83,7 +85,7 @@ fn border_steps<T: Height>(grid: &Grid<T>) -> Vec<(u64, u64)> {
         std::mem::swap(&mut here, &mut below);
     }
     steps.sort_unstable();
-    steps
+    Ok(steps)
 }
 
 fn chain_up(steps: Vec<(u64, u64)>, cols: u64) -> Vec<Chain> {
@@ -227,8 +229,8 @@ fn voids_beside(a: (i32, i32), b: (i32, i32)) -> [(i32, i32); 2] {
 /// between the two are constrained.
 ///
 /// Errors: `no-area` if no three neighbouring valid pixels span an area.
-pub fn outline_mesh<T: Height>(grid: &Grid<T>, metric: Metric) -> Result<Mesh> {
-    let chains: Vec<Chain> = trace(grid).iter().map(simplify).collect();
+pub fn outline_mesh<T: Height>(grid: &Grid<T>, metric: Metric, progress: &mut Progress) -> Result<Mesh> {
+    let chains: Vec<Chain> = trace(grid, progress)?.iter().map(simplify).collect();
     if chains.is_empty() {
         return Err(Error::input(
             "no-area",

@@ -80,7 +80,7 @@ pub fn triangulate<T: Height>(
 ) -> Result<Triangulation> {
     validate(options)?;
     progress.stage("outline")?;
-    let mesh = outline_mesh(grid, metric)?;
+    let mesh = outline_mesh(grid, metric, progress)?;
     let Images { data, spikes, noise } = prepare(grid, options, progress)?;
     let data = Grid::new(&data, grid.rows(), grid.cols())?;
 
@@ -122,7 +122,7 @@ pub fn triangulate<T: Height>(
     }
 
     progress.stage("order")?;
-    by_place(&mut refiner.mesh, &mut refiner.z);
+    by_place(&mut refiner.mesh, &mut refiner.z, progress)?;
     let target = if options.fit {
         fit(&mut refiner, &data, finest, noise, scales[scales.len() - 1], progress)?
     } else {

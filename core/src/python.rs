@@ -106,9 +106,11 @@ impl Mesh {
         &self,
         py: Python<'py>,
         z: &[T],
+        callback: Option<Py<PyAny>>,
     ) -> PyResult<(Bound<'py, PyDict>, Bound<'py, PyArray1<f64>>)> {
         let (rows, cols) = (self.rows, self.cols);
-        let (errors, largest) = detached(py, None, |progress| {
+        let (errors, largest) = detached(py, callback, |progress| {
+            progress.stage("measure")?;
             measure::errors(&self.mesh, &self.z, &Grid::new(z, rows, cols)?, progress)
         })?;
         let numbers = PyDict::new(py);
@@ -174,14 +176,16 @@ impl Mesh {
 
     /// Error statistics against a raster of the same shape, and each triangle's
     /// largest absolute error.
+    #[pyo3(signature = (z, progress=None))]
     fn errors<'py>(
         &self,
         py: Python<'py>,
         z: Heights<'py>,
+        progress: Option<Py<PyAny>>,
     ) -> PyResult<(Bound<'py, PyDict>, Bound<'py, PyArray1<f64>>)> {
         match &z {
-            Heights::Single(z) => self.measure_on(py, z.as_slice()?),
-            Heights::Double(z) => self.measure_on(py, z.as_slice()?),
+            Heights::Single(z) => self.measure_on(py, z.as_slice()?, progress),
+            Heights::Double(z) => self.measure_on(py, z.as_slice()?, progress),
         }
     }
 
@@ -215,10 +219,9 @@ impl Mesh {
         self.report.noise
     }
 
-    /// Indices (row * cols + col) of the pixels that despiking replaced.
-    #[getter]
-    fn spikes(&self) -> Vec<usize> {
-        self.report.spikes.clone()
+    /// (k,) uint64: indices (row * cols + col) of the pixels that despiking replaced.
+    fn spikes<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u64>> {
+        self.report.spikes.iter().map(|&i| i as u64).collect::<Vec<_>>().into_pyarray(py)
     }
 
     /// The sigmas (x, y) in pixels of the scales refined.

@@ -7,7 +7,7 @@ use crate::progress::Progress;
 /// Gaussian kernels are cut off at this many standard deviations.
 const TRUNCATE: f64 = 4.0;
 /// The largest number of samples a robust statistic looks at.
-const MAX_SAMPLES: usize = 1 << 22;
+const MAX_SAMPLES: usize = 1 << 20;
 /// sigma = 1.4826 MAD for normally distributed errors.
 const MAD_TO_SIGMA: f64 = 1.4826;
 
@@ -15,7 +15,7 @@ const MAD_TO_SIGMA: f64 = 1.4826;
 /// |[1 -2 1] x [1 -2 1]| / 6 over pixels with a complete neighbourhood
 /// (Immerkaer 1996, made robust). 0 where there is no such pixel.
 pub fn noise<T: Height>(grid: &Grid<T>) -> f64 {
-    let step = 1 + grid.z().len() / MAX_SAMPLES;
+    let step = grid.z().len().div_ceil(MAX_SAMPLES);
     let mut residuals = Vec::new();
     for row in (1..grid.rows() - 1).step_by(step) {
         let [a, b, c] = [grid.row(row - 1), grid.row(row), grid.row(row + 1)];
@@ -53,7 +53,7 @@ const MIN_NEIGHBOURS: usize = 5;
 /// its neighbours by more than half their spread plus max(4 `noise`, a floor); it
 /// takes the neighbours' median.
 pub fn spikes<T: Height>(grid: &Grid<T>, noise: f64, progress: &mut Progress) -> Result<Vec<(usize, T)>> {
-    let step = 1 + grid.z().len() / MAX_SAMPLES;
+    let step = grid.z().len().div_ceil(MAX_SAMPLES);
     let mut sample: Vec<f64> =
         grid.z().iter().step_by(step).map(|z| z.to_f64()).filter(|z| !z.is_nan()).collect();
     let high = quantile(&mut sample, 0.99).unwrap_or(0.0);
