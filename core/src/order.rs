@@ -6,10 +6,15 @@ use crate::mesh::{half_edge, triangle_of, Mesh, Triangle, NONE};
 use crate::predicate::{Point, SUB_BITS};
 use crate::progress::Progress;
 
-/// Position along the Z-order curve of the pixel that holds the centroid.
-fn curve_position([a, b, c]: [Point; 3]) -> u64 {
+/// Position of a pixel along the Z-order curve.
+pub fn curve_position(col: u64, row: u64) -> u64 {
+    spread(col) | spread(row) << 1
+}
+
+/// That of the pixel that holds the centroid.
+fn place_of([a, b, c]: [Point; 3]) -> u64 {
     let mean = |a: i32, b: i32, c: i32| ((i64::from(a) + i64::from(b) + i64::from(c)) / 3) as u64 >> SUB_BITS;
-    spread(mean(a.x, b.x, c.x)) | spread(mean(a.y, b.y, c.y)) << 1
+    curve_position(mean(a.x, b.x, c.x), mean(a.y, b.y, c.y))
 }
 
 /// Puts a zero between the bits of a number below 2^32.
@@ -30,7 +35,7 @@ fn spread(mut v: u64) -> u64 {
 /// first triangle that uses them.
 pub fn by_place(mesh: &mut Mesh, z: &mut Vec<f64>, progress: &mut Progress) -> Result<()> {
     let count = mesh.triangles().len() as u32;
-    let mut order: Vec<(u64, u32)> = (0..count).map(|t| (curve_position(mesh.corners(t)), t)).collect();
+    let mut order: Vec<(u64, u32)> = (0..count).map(|t| (place_of(mesh.corners(t)), t)).collect();
     progress.stage("order")?;
     order.sort_unstable();
     progress.stage("order")?;

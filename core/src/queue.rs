@@ -1,6 +1,7 @@
-//! The queue of candidates: lazy, bucketed by size, with a total order.
+//! The queue of candidates: lazy, in buckets of like priority.
 
-use std::cmp::Ordering;
+use crate::order::curve_position;
+use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 
 /// A triangle's candidate. Ordered by priority, then by pixel (first in raster
@@ -44,44 +45,53 @@ const BUCKET_SHIFT: u32 = 52 - 3;
 const BUCKETS: usize = 1 << (64 - BUCKET_SHIFT);
 
 /// Entries whose triangle has changed are not removed but dropped when met. Only
-/// the bucket of the largest priorities is a heap; entries of the others wait
-/// unsorted, and most are stale by the time their bucket is opened. The order of
-/// popping is that of one big heap.
+/// the bucket of the largest priorities is open; entries of the others wait unsorted,
+/// and most are stale by the time their bucket is opened.
+///
+/// In an exact queue the open bucket is a heap, and the order of popping is that of
+/// one big heap. In a local queue it is worked off along a space-filling curve,
+/// together with what its insertions bring up: priorities are then in order only to
+/// an eighth, but the working set stays in the cache.
 pub struct Queue {
     open: BinaryHeap<Candidate>,
+    /// A local queue's open bucket, the next entry last.
+    batch: Vec<Candidate>,
     waiting: Vec<Vec<Candidate>>,
-    /// The open bucket; entries at or above it go to the heap.
+    /// The open bucket; entries at or above it do not wait.
     level: usize,
+    /// Columns of the raster, for the curve; `None` in an exact queue.
+    local: Option<u64>,
 }
 
-impl Default for Queue {
-    fn default() -> Self {
-        Queue { open: BinaryHeap::new(), waiting: vec![Vec::new(); BUCKETS / 2], level: BUCKETS / 2 }
-    }
-}
+/// A local queue gets exact when a bucket holds more than this share of the points
+/// that may still be inserted, so that a stop by count does not favour one corner.
+const LAST_SHARE: usize = 4;
 
 impl Queue {
-    pub fn clear(&mut self) {
-        self.open.clear();
-        self.waiting.iter_mut().for_each(Vec::clear);
-        self.level = self.waiting.len();
+    /// A queue over pixels of a raster with `cols` columns if it is to be local.
+    pub fn new(local: Option<u64>) -> Self {
+        let waiting = vec![Vec::new(); BUCKETS / 2];
+        Queue { open: BinaryHeap::new(), batch: Vec::new(), level: waiting.len(), waiting, local }
     }
 
     /// `candidate.priority` must be 0 or more.
     #[inline]
     pub fn push(&mut self, candidate: Candidate) {
         let bucket = (candidate.priority.to_bits() >> BUCKET_SHIFT) as usize;
-        if bucket >= self.level {
-            self.open.push(candidate);
-        } else {
+        if bucket < self.level {
             self.waiting[bucket].push(candidate);
+        } else if self.local.is_some() {
+            self.batch.push(candidate);
+        } else {
+            self.open.push(candidate);
         }
     }
 
-    /// The greatest candidate that `is_current` accepts; stale ones are dropped.
-    pub fn pop(&mut self, is_current: impl Fn(&Candidate) -> bool) -> Option<Candidate> {
+    /// The next candidate that `is_current` accepts; stale ones are dropped. No more
+    /// than `remaining` are going to be asked for.
+    pub fn pop(&mut self, remaining: usize, is_current: impl Fn(&Candidate) -> bool) -> Option<Candidate> {
         loop {
-            while let Some(candidate) = self.open.pop() {
+            while let Some(candidate) = self.batch.pop().or_else(|| self.open.pop()) {
                 if is_current(&candidate) {
                     return Some(candidate);
                 }
@@ -89,7 +99,18 @@ impl Queue {
             self.level = self.waiting[..self.level].iter().rposition(|bucket| !bucket.is_empty())?;
             let mut bucket = std::mem::take(&mut self.waiting[self.level]);
             bucket.retain(&is_current);
-            self.open = BinaryHeap::from(bucket);
+            match self.local {
+                Some(cols) if bucket.len() < remaining / LAST_SHARE => {
+                    bucket.sort_by_cached_key(|c| {
+                        (Reverse(curve_position(c.pixel % cols, c.pixel / cols)), c.triangle)
+                    });
+                    self.batch = bucket;
+                }
+                _ => {
+                    self.local = None;
+                    self.open = BinaryHeap::from(bucket);
+                }
+            }
         }
     }
 }
@@ -102,7 +123,7 @@ mod tests {
     proptest! {
         #[test]
         fn pops_in_total_order_and_skips_the_stale(errors in prop::collection::vec((0u8..5, 0u64..9, 0u32..4, 0u32..2), 0..60)) {
-            let mut queue = Queue::default();
+            let mut queue = Queue::new(None);
             let mut expected = Vec::new();
             for (priority, pixel, triangle, version) in errors {
                 let candidate = Candidate { priority: f64::from(priority), pixel, triangle, version };
@@ -110,8 +131,23 @@ mod tests {
                 if version == 1 { expected.push(candidate); }
             }
             expected.sort_by(|a, b| b.cmp(a));
-            let popped: Vec<_> = std::iter::from_fn(|| queue.pop(|c| c.version == 1)).collect();
+            let popped: Vec<_> = std::iter::from_fn(|| queue.pop(usize::MAX, |c| c.version == 1)).collect();
             prop_assert_eq!(popped, expected);
+        }
+
+        #[test]
+        fn a_local_queue_pops_each_once_and_falls_by_buckets(priorities in prop::collection::vec(0.0f64..100.0, 0..200)) {
+            let mut queue = Queue::new(Some(10));
+            for (i, &priority) in (0..).zip(&priorities) {
+                queue.push(Candidate { priority, pixel: u64::from(i), triangle: i, version: 0 });
+            }
+            let popped: Vec<_> = std::iter::from_fn(|| queue.pop(usize::MAX, |_| true)).collect();
+            for pair in popped.windows(2) {
+                prop_assert!(pair[1].priority <= 1.125 * pair[0].priority);
+            }
+            let mut seen: Vec<_> = popped.iter().map(|c| c.triangle).collect();
+            seen.sort_unstable();
+            prop_assert_eq!(seen, (0..priorities.len() as u32).collect::<Vec<_>>());
         }
     }
 }

@@ -40,6 +40,10 @@ pub enum Stop {
     Noise,
 }
 
+/// Rasters up to this size are refined in the exact order of the priorities; larger
+/// ones no longer fit the cache and use a local queue.
+const EXACT_PIXELS: usize = 1 << 20;
+
 /// Share of the worst error added to a quantile priority: it only parts ties,
 /// above all among triangles whose median error is zero.
 const TIE_BREAK: f64 = 1e-9;
@@ -68,7 +72,7 @@ impl Refiner {
         let height = |p: &Point| p.as_pixel().map_or(f64::NAN, |(col, row)| grid.at(col, row));
         let z: Vec<f64> = mesh.points().iter().map(height).collect();
         let scaffolding = z.iter().filter(|z| z.is_nan()).count();
-        Refiner { mesh, z, queue: Queue::default(), errors: Vec::new(), touched: Vec::new(), scaffolding }
+        Refiner { mesh, z, queue: Queue::new(None), errors: Vec::new(), touched: Vec::new(), scaffolding }
     }
 
     /// Number of vertices that carry a height.
@@ -99,7 +103,8 @@ impl Refiner {
         max_points: usize,
         progress: &mut Progress,
     ) -> Result<Stop> {
-        self.queue.clear();
+        let is_large = grid.rows() * grid.cols() > EXACT_PIXELS;
+        self.queue = Queue::new(is_large.then_some(grid.cols() as u64));
         self.mesh.take_touched(&mut self.touched);
         for t in 0..self.mesh.triangles().len() as u32 {
             let work = self.enqueue(grid, rule, t);
@@ -108,7 +113,8 @@ impl Refiner {
         let (start, mut first_priority) = (self.count(), None);
         while self.count() < max_points {
             let mesh = &self.mesh;
-            let Some(best) = self.queue.pop(|c| mesh.triangle(c.triangle).version == c.version) else {
+            let is_current = |c: &Candidate| mesh.triangle(c.triangle).version == c.version;
+            let Some(best) = self.queue.pop(max_points - self.count(), is_current) else {
                 return Ok(Stop::Tolerance);
             };
             let cols = grid.cols() as u64;
