@@ -4,8 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 CORE := core/Cargo.toml Cargo.toml Cargo.lock $(wildcard core/src/*.rs)
 DEM := sample_dem/jacksboro.dem
+PLUGIN_ZIP := dist/dem2tin_qgis.zip
+# The Python that QGIS itself uses, never that of the virtual environment.
+QGIS_PYTHON ?= /usr/bin/python3
+QGIS_SITE := target/qgis-site
 
-.PHONY: demo test test-rust test-python lint clean
+.PHONY: demo test test-rust test-python test-qgis pictures plugin lint clean
 
 $(VENV)/ready: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -24,15 +28,41 @@ $(VENV)/tools: $(VENV)/installed
 
 demo: $(VENV)/installed
 	mkdir -p out
-	$(BIN)/dem2tin $(DEM) out/jacksboro.gpkg out/jacksboro.obj out/jacksboro.tif --overwrite --json out/jacksboro.json
+	$(BIN)/dem2tin $(DEM) out/jacksboro.gpkg out/jacksboro.obj out/jacksboro.tif out/jacksboro.png --overwrite
 
-test: test-rust test-python
+test: test-rust test-python test-qgis
 
 test-rust:
 	cargo test --release --quiet
 
 test-python: $(VENV)/tools
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --ignore=tests/qgis
+
+# The QGIS plugin as the plugin repository takes it.
+plugin:
+	$(PYTHON) qgis_plugin/make_zip.py $(PLUGIN_ZIP)
+
+# The core as QGIS gets it: the wheel alone, without the libraries of the command line.
+$(QGIS_SITE)/ready: $(VENV)/installed $(shell find tin -name '*.py')
+	rm -rf $(QGIS_SITE)
+	$(BIN)/maturin build --release --quiet --out $(QGIS_SITE)/wheel
+	$(BIN)/pip install --quiet --no-deps --target $(QGIS_SITE) $(QGIS_SITE)/wheel/*.whl
+	touch $@
+
+# In a real QGIS, with the system's Python; without QGIS on the machine there is nothing to test in.
+test-qgis: $(VENV)/installed
+	@if $(QGIS_PYTHON) -c "import qgis.core, pytest" 2>/dev/null; then \
+	  $(MAKE) $(QGIS_SITE)/ready && \
+	  PYTHONPATH=$(abspath $(QGIS_SITE)) DEM2TIN=$(abspath $(BIN)/dem2tin) QGIS_PICTURES=$(abspath out/qgis) \
+	    $(QGIS_PYTHON) -m pytest tests/qgis -p no:cacheprovider; \
+	elif [ -n "$(QGIS_REQUIRED)" ]; then \
+	  echo "QGIS (python3-qgis) and python3-pytest are not on this machine" >&2; exit 1; \
+	else echo "no QGIS on this machine: its tests are left out"; fi
+
+# The screenshots of docs/qgis.md, made by the same tests.
+pictures: $(VENV)/installed $(QGIS_SITE)/ready
+	PYTHONPATH=$(abspath $(QGIS_SITE)) QGIS_PICTURES=$(abspath docs/images) \
+	  $(QGIS_PYTHON) -m pytest tests/qgis/test_pictures.py -p no:cacheprovider
 
 lint: $(VENV)/tools
 	cargo fmt --all --check

@@ -21,7 +21,10 @@ BAR_WIDTH = 30
 
 DESCRIPTION = "Turn a DEM into a compact TIN that stays true to the terrain even where the DEM is noisy."
 EPILOG = """\
-OUTPUT is chosen by its suffix: .gpkg (POLYGON Z features), .obj (3D mesh), .tif (the TIN on the DEM's grid).
+OUTPUT is chosen by its suffix:
+  .gpkg  POLYGON Z features      .tif  the TIN rasterised on the DEM's grid
+  .obj   3D mesh                 .nc   mesh layer for QGIS (UGRID)
+  .png   picture of the TIN and its errors
 
 examples:
   dem2tin sthelens.dem tin.gpkg
@@ -57,6 +60,7 @@ def parser() -> argparse.ArgumentParser:
     section.add_argument("--overwrite", action="store_true", help="replace outputs that exist")
     section.add_argument("--quiet", action="store_true", help="no progress and no report")
     section.add_argument("--json", metavar="FILE|-", help="write the report as JSON, - for standard output")
+    section.add_argument("--error-map", metavar="FILE.tif", help="write the signed errors, TIN less DEM")
     section.add_argument("--version", action="version", version=f"dem2tin {__version__}")
     return made
 
@@ -112,7 +116,13 @@ def run(given: argparse.Namespace) -> None:
     reading, writing = options.parse(inputs, "input"), options.parse(output, "output")
     options.parse_method(method)
     report = None if given.json in (None, "-") else given.json
-    formats.check_outputs(given.outputs, overwrite=given.overwrite, inputs=[given.dem], report=report)
+    formats.check_outputs(
+        given.outputs,
+        overwrite=given.overwrite,
+        inputs=[given.dem],
+        report=report,
+        error_map=given.error_map,
+    )
     bar = Bar(sys.stderr, quiet=given.quiet)
     bar("read", 0.0)
     dem = reader.open(given.dem, **reading)
@@ -120,6 +130,8 @@ def run(given: argparse.Namespace) -> None:
     for path in given.outputs:
         bar(f"write {Path(path).name}", 0.0)
         formats.write(mesh, path, overwrite=given.overwrite, **formats.accepted(path, writing))
+    if given.error_map:
+        formats.write_error_map(mesh, given.error_map, overwrite=given.overwrite)
     bar.close()
     result = replace(mesh.report, seconds=time.perf_counter() - start)
     numbers = json.dumps(result.to_dict(), indent=2)

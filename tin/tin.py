@@ -115,13 +115,19 @@ class Tin:
         self._core.check()
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False, **choices: Any) -> None:
-        """Write to ``path`` in the format of its suffix (.gpkg, .obj, .tif); all of it or nothing.
+        """Write to ``path`` in the format of its suffix (.gpkg, .obj, .tif, ...); all of it or nothing.
 
         Raises OutputError, see ``tin.formats.write``.
         """
         from tin import formats
 
         formats.write(self, path, overwrite=overwrite, **choices)
+
+    def plot(self) -> Any:
+        """A matplotlib Figure: hillshade, mesh, error map and error histogram; see ``tin.plot``."""
+        from tin.plot import figure
+
+        return figure(self)
 
     def to_geodataframe(self) -> Any:
         """A geopandas.GeoDataFrame: POLYGON Z a triangle, with the attributes of the GeoPackage.

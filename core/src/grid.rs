@@ -40,15 +40,20 @@ pub struct Grid<'a, T> {
 }
 
 impl<'a, T: Height> Grid<'a, T> {
-    /// Errors: `too-small` below 2 x 2, `too-large` beyond the exact lattice.
+    /// Errors: `too-small` below 2 x 2, `too-large` beyond the exact lattice, `not-2d`
+    /// if `z` has another length.
     pub fn new(z: &'a [T], rows: usize, cols: usize) -> Result<Self> {
         if rows < 2 || cols < 2 {
             let message = format!("a TIN needs at least 2 x 2 pixels, the DEM has {cols} x {rows}");
             return Err(Error::input("too-small", message));
         }
-        if rows > MAX_SIDE || cols > MAX_SIDE || rows.checked_mul(cols) != Some(z.len()) {
+        if rows > MAX_SIDE || cols > MAX_SIDE {
             let message = format!("{cols} x {rows} pixels exceed {MAX_SIDE} on a side");
             return Err(Error::input("too-large", message));
+        }
+        if rows * cols != z.len() {
+            let message = format!("{} heights do not fill {cols} x {rows} pixels", z.len());
+            return Err(Error::input("not-2d", message));
         }
         Ok(Grid { z, rows, cols })
     }

@@ -244,7 +244,18 @@ impl Mesh {
         self.insert_at(p, place)
     }
 
-    fn insert_at(&mut self, p: Point, place: Location) -> u32 {
+    /// Whether a vertex at `place` would belong to a triangle of data.
+    pub fn is_in_data(&self, place: Location) -> bool {
+        let is_data = |h: u32| h != NONE && !self.triangle(triangle_of(h)).is_void();
+        match place {
+            Location::Face(t) => is_data(half_edge(t, 0)),
+            Location::Edge(h) => is_data(h) || is_data(self.twin(h)),
+            Location::Vertex(_) => true,
+        }
+    }
+
+    /// Inserts `p`, whose place has been found.
+    pub fn insert_at(&mut self, p: Point, place: Location) -> u32 {
         let vertex = self.points.len() as u32;
         match place {
             Location::Vertex(v) => return v,

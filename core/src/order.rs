@@ -1,10 +1,11 @@
-//! Renumbering along a space-filling curve: what is near on the ground gets near in
+//! Orders along a space-filling curve: what is near on the ground gets near in
 //! memory, which the passes over all triangles repay several times.
 
 use crate::error::Result;
 use crate::mesh::{half_edge, triangle_of, Mesh, Triangle, NONE};
 use crate::predicate::{Point, SUB_BITS};
 use crate::progress::Progress;
+use std::cmp::Reverse;
 
 /// Position of a pixel along the Z-order curve.
 pub fn curve_position(col: u64, row: u64) -> u64 {
@@ -29,6 +30,28 @@ fn spread(mut v: u64) -> u64 {
         v = (v | v << shift) & mask;
     }
     v
+}
+
+/// The order in which to insert `points`: in rounds of doubling size, each along the
+/// curve, so that walks stay short and no vertex is hit by too many flips (a biased
+/// randomised insertion order; Amenta, Choi and Rote 2003). Positions in `points`.
+pub fn insertion_order(points: &[Point]) -> Vec<usize> {
+    let key = |i: usize| {
+        let p = points[i];
+        let round = scramble(i as u64).trailing_zeros();
+        (Reverse(round), curve_position((p.x >> SUB_BITS) as u64, (p.y >> SUB_BITS) as u64))
+    };
+    let mut order: Vec<usize> = (0..points.len()).collect();
+    order.sort_by_cached_key(|&i| key(i));
+    order
+}
+
+/// A number that looks random (the finaliser of SplitMix64).
+pub fn scramble(i: u64) -> u64 {
+    let mut x = i.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
 }
 
 /// Sorts the triangles along the curve, and the vertices and their heights `z` by the

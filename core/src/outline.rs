@@ -9,6 +9,7 @@ use crate::constrain::Constrainer;
 use crate::error::{Error, Result};
 use crate::grid::{Grid, Height};
 use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
+use crate::order::insertion_order;
 use crate::predicate::{Metric, Point};
 use crate::progress::Progress;
 use std::collections::HashMap;
@@ -238,11 +239,13 @@ pub fn outline_mesh<T: Height>(grid: &Grid<T>, metric: Metric, progress: &mut Pr
         ));
     }
     let mut mesh = Mesh::rectangle(grid.cols(), grid.rows(), metric);
+    let corners: Vec<(i32, i32)> = chains.iter().flatten().copied().collect();
+    let points: Vec<Point> = corners.iter().map(|c| Point::pixel(c.0 as usize, c.1 as usize)).collect();
     let mut vertices = HashMap::new();
-    for &(col, row) in chains.iter().flatten() {
+    for i in insertion_order(&points) {
         let start = mesh.triangles().len() as u32 - 1;
-        let p = Point::pixel(col as usize, row as usize);
-        vertices.entry((col, row)).or_insert_with(|| mesh.insert(p, start));
+        vertices.entry(corners[i]).or_insert_with(|| mesh.insert(points[i], start));
+        progress.poll(256, || 1.0)?;
     }
     let mut signed: HashMap<(u32, u32), i32> = HashMap::new();
     let mut constrainer = Constrainer::new(&mut mesh);

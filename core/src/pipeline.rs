@@ -4,7 +4,7 @@ use crate::error::{Error, Result};
 use crate::fit::{fit_heights, flip_pass, Blend};
 use crate::grid::{Grid, Height};
 use crate::mesh::Mesh;
-use crate::order::by_place;
+use crate::order::{by_place, scramble};
 use crate::outline::outline_mesh;
 use crate::predicate::Metric;
 use crate::progress::Progress;
@@ -67,6 +67,9 @@ struct Images<T> {
     noise: f64,
 }
 
+/// Squares and products of heights must not overflow.
+const MAX_HEIGHT: f64 = 1e100;
+
 /// Residuals up to this many standard deviations of the noise are taken for noise.
 const SIGNIFICANT: f64 = 3.0;
 
@@ -78,7 +81,7 @@ pub fn triangulate<T: Height>(
     options: &Options,
     progress: &mut Progress,
 ) -> Result<Triangulation> {
-    validate(options)?;
+    validate(options, grid)?;
     progress.stage("outline")?;
     let mesh = outline_mesh(grid, metric, progress)?;
     let Images { data, spikes, noise } = prepare(grid, options, progress)?;
@@ -100,17 +103,15 @@ pub fn triangulate<T: Height>(
     }
 
     let mut refiner = Refiner::new(mesh, &Grid::new(&finest, grid.rows(), grid.cols())?);
-    for &(col, row) in &options.initial {
-        let z = finest[row * grid.cols() + col].to_f64();
-        if !z.is_nan() {
-            refiner.insert(col, row, z);
-        }
-    }
+    refiner.insert(&options.initial, &Grid::new(&finest, grid.rows(), grid.cols())?);
     let mut stop = Stop::Tolerance;
     for (i, &sigma) in scales.iter().enumerate() {
         if i > 0 {
             progress.stage("smooth")?;
             finest = gaussian(&data, sigma, progress)?;
+            if bounded && sigma == [0.0; 2] {
+                refiner.sample(&data);
+            }
         }
         progress.stage("refine")?;
         let limit = options.max_points.min(refiner.count().saturating_add(options.points_per_scale));
@@ -139,7 +140,7 @@ pub fn triangulate<T: Height>(
     Ok(Triangulation { mesh: refiner.mesh, z: refiner.z, report })
 }
 
-fn validate(options: &Options) -> Result<()> {
+fn validate<T: Height>(options: &Options, grid: &Grid<T>) -> Result<()> {
     let Rule { priority, weight, candidate, tolerance, bound } = options.rule;
     let quantile = |q: f64| q > 0.0 && q <= 1.0;
     let bad = |message: &str| Err(Error::option("bad-option", message));
@@ -148,6 +149,12 @@ fn validate(options: &Options) -> Result<()> {
     }
     if !(weight.is_finite() && tolerance.is_finite() && tolerance >= 0.0) {
         return bad("the tolerance must be a finite number, 0 or more");
+    }
+    if options.initial.iter().any(|&(col, row)| col >= grid.cols() || row >= grid.rows()) {
+        return bad("an initial point lies outside the raster");
+    }
+    if grid.z().iter().any(|z| z.to_f64().abs() > MAX_HEIGHT) {
+        return Err(Error::input("height-range", "heights beyond 1e100 are no terrain"));
     }
     if let Scales::Given(sigmas) = &options.scales {
         if sigmas.is_empty() || !sigmas.iter().flatten().all(|s| (0.0..=1000.0).contains(s)) {
@@ -188,6 +195,7 @@ fn fit<T: Height>(
         fit_heights(&refiner.mesh, &mut refiner.z, data, progress)?;
         return Ok(data.z().to_vec());
     }
+    let random_sign = |i: u64| if scramble(i) & 1 == 0 { 1.0 } else { -1.0 };
     let probe: Vec<T> =
         (0..).zip(data.z()).map(|(i, z)| T::from_f64(random_sign(i) + 0.0 * z.to_f64())).collect();
     let smooth_probe = gaussian(&Grid::new(&probe, data.rows(), data.cols())?, sigma, progress)?;
@@ -197,18 +205,6 @@ fn fit<T: Height>(
         *smooth = T::from_f64(share * smooth.to_f64() + (1.0 - share) * data.to_f64());
     }
     Ok(smooth)
-}
-
-/// 1 or -1, as good as independent from one `i` to the next (the finaliser of SplitMix64).
-fn random_sign(i: u64) -> f64 {
-    let mut x = i.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    if (x ^ (x >> 31)) & 1 == 0 {
-        1.0
-    } else {
-        -1.0
-    }
 }
 
 /// Flips edges, each round followed by a fit; whether the mesh is still Delaunay.

@@ -40,9 +40,11 @@ impl PartialEq for Candidate {
 
 impl Eq for Candidate {}
 
-/// Bits of a priority that name its bucket: sign, exponent and three of the mantissa.
+/// Bits of a priority that name its bucket: exponent and three of the mantissa.
 const BUCKET_SHIFT: u32 = 52 - 3;
-const BUCKETS: usize = 1 << (64 - BUCKET_SHIFT);
+/// Buckets kept apart, 40 octaves on either side of the first priority; what lies
+/// beyond shares the outermost ones.
+const BUCKETS: usize = 2 * 40 * 8;
 
 /// Entries whose triangle has changed are not removed but dropped when met. Only
 /// the bucket of the largest priorities is open; entries of the others wait unsorted,
@@ -57,6 +59,8 @@ pub struct Queue {
     /// A local queue's open bucket, the next entry last.
     batch: Vec<Candidate>,
     waiting: Vec<Vec<Candidate>>,
+    /// Number of the lowest bucket, known from the first priority on.
+    lowest: Option<usize>,
     /// The open bucket; entries at or above it do not wait.
     level: usize,
     /// Columns of the raster, for the curve; `None` in an exact queue.
@@ -70,14 +74,16 @@ const LAST_SHARE: usize = 4;
 impl Queue {
     /// A queue over pixels of a raster with `cols` columns if it is to be local.
     pub fn new(local: Option<u64>) -> Self {
-        let waiting = vec![Vec::new(); BUCKETS / 2];
-        Queue { open: BinaryHeap::new(), batch: Vec::new(), level: waiting.len(), waiting, local }
+        let waiting = vec![Vec::new(); BUCKETS];
+        Queue { open: BinaryHeap::new(), batch: Vec::new(), waiting, lowest: None, level: BUCKETS, local }
     }
 
     /// `candidate.priority` must be 0 or more.
     #[inline]
     pub fn push(&mut self, candidate: Candidate) {
-        let bucket = (candidate.priority.to_bits() >> BUCKET_SHIFT) as usize;
+        let number = (candidate.priority.to_bits() >> BUCKET_SHIFT) as usize;
+        let lowest = *self.lowest.get_or_insert(number.saturating_sub(BUCKETS / 2));
+        let bucket = number.saturating_sub(lowest).min(BUCKETS - 1);
         if bucket < self.level {
             self.waiting[bucket].push(candidate);
         } else if self.local.is_some() {

@@ -9,6 +9,7 @@
 use crate::error::Result;
 use crate::grid::{Grid, Height};
 use crate::mesh::Mesh;
+use crate::order::insertion_order;
 use crate::predicate::Point;
 use crate::progress::Progress;
 use crate::queue::{Candidate, Queue};
@@ -67,12 +68,34 @@ pub struct Refiner {
 }
 
 impl Refiner {
-    /// Takes over `mesh`, whose vertices are pixels of `grid` and get its heights.
+    /// Takes over `mesh`; the vertices of its data triangles are pixels of `grid` and
+    /// get its heights.
     pub fn new<T: Height>(mesh: Mesh, grid: &Grid<T>) -> Self {
-        let height = |p: &Point| p.as_pixel().map_or(f64::NAN, |(col, row)| grid.at(col, row));
-        let z: Vec<f64> = mesh.points().iter().map(height).collect();
-        let scaffolding = z.iter().filter(|z| z.is_nan()).count();
-        Refiner { mesh, z, queue: Queue::new(None), errors: Vec::new(), touched: Vec::new(), scaffolding }
+        let mut refiner = Refiner {
+            z: vec![f64::NAN; mesh.points().len()],
+            mesh,
+            queue: Queue::new(None),
+            errors: Vec::new(),
+            touched: Vec::new(),
+            scaffolding: 0,
+        };
+        for triangle in refiner.mesh.triangles().iter().filter(|t| !t.is_void()) {
+            for v in triangle.v {
+                refiner.z[v as usize] = 0.0;
+            }
+        }
+        refiner.sample(grid);
+        refiner.scaffolding = refiner.z.iter().filter(|z| z.is_nan()).count();
+        refiner
+    }
+
+    /// Gives every vertex on a pixel the height of `grid` there.
+    pub fn sample<T: Height>(&mut self, grid: &Grid<T>) {
+        for (z, p) in self.z.iter_mut().zip(self.mesh.points()) {
+            if let (false, Some((col, row))) = (z.is_nan(), p.as_pixel()) {
+                *z = grid.at(col, row);
+            }
+        }
     }
 
     /// Number of vertices that carry a height.
@@ -85,12 +108,18 @@ impl Refiner {
         self.mesh.triangle(t).v.map(|v| self.z[v as usize])
     }
 
-    /// Inserts pixel (`col`, `row`) with height `z`, walking from the newest triangle.
-    pub fn insert(&mut self, col: usize, row: usize, z: f64) {
-        let start = self.mesh.triangles().len() as u32 - 1;
-        let vertex = self.mesh.insert(Point::pixel(col, row), start) as usize;
-        if vertex == self.z.len() {
-            self.z.push(z);
+    /// Makes the pixels (column, row) of `grid` vertices, unless they lie outside the data.
+    pub fn insert<T: Height>(&mut self, pixels: &[(usize, usize)], grid: &Grid<T>) {
+        let points: Vec<Point> = pixels.iter().map(|&(col, row)| Point::pixel(col, row)).collect();
+        for i in insertion_order(&points) {
+            let start = self.mesh.triangles().len() as u32 - 1;
+            let place = self.mesh.locate(points[i], start);
+            if self.mesh.is_in_data(place) {
+                let vertex = self.mesh.insert_at(points[i], place) as usize;
+                if vertex == self.z.len() {
+                    self.z.push(grid.at(pixels[i].0, pixels[i].1));
+                }
+            }
         }
     }
 
@@ -154,8 +183,8 @@ impl Refiner {
             collect(grid, p, z, Corners::Excluded, &mut self.errors)
         };
         let work = worst.count * if is_max { 1 } else { 4 };
-        // The maximum bounds every quantile.
-        if worst.error < 0.0 || (worst.error <= rule.tolerance && rule.tolerance > 0.0) {
+        // The maximum bounds every quantile; what fits exactly needs no point.
+        if worst.error <= rule.tolerance {
             return work;
         }
         let (mut priority, mut col, mut row) = (worst.error, worst.col, worst.row);

@@ -3,6 +3,7 @@
 use crate::error::Result;
 use crate::grid::{Grid, Height};
 use crate::progress::Progress;
+use std::ops::Range;
 
 /// Gaussian kernels are cut off at this many standard deviations.
 const TRUNCATE: f64 = 4.0;
@@ -46,6 +47,8 @@ fn quantile(values: &mut [f64], q: f64) -> Option<f64> {
 const SPIKE_FLOOR: f64 = 2e-3;
 /// A spike needs this many valid neighbours to be recognised.
 const MIN_NEIGHBOURS: usize = 5;
+/// With this many of the eight neighbours two opposite pairs are complete.
+const MIN_PAIRED: usize = 6;
 
 /// Pixels that stand out of their neighbourhood, with the height they get.
 ///
@@ -73,7 +76,9 @@ pub fn spikes<T: Height>(grid: &Grid<T>, noise: f64, progress: &mut Progress) ->
                 continue;
             }
             around.sort_unstable_by(f64::total_cmp);
-            let (low, high) = (around[1], around[around.len() - 2]);
+            // On the border the second smallest may still be on the near side of a ramp.
+            let rank = usize::from(around.len() >= MIN_PAIRED);
+            let (low, high) = (around[rank], around[around.len() - 1 - rank]);
             if (z - high).max(low - z) > 0.5 * (high - low) + margin {
                 let n = around.len();
                 let middle = 0.5 * (around[(n - 1) / 2] + around[n / 2]);
@@ -87,7 +92,8 @@ pub fn spikes<T: Height>(grid: &Grid<T>, noise: f64, progress: &mut Progress) ->
 /// Cheap necessary condition: a spike differs by more than `margin` from at least
 /// one of its neighbours along the row and one along the column.
 fn stands_out<T: Height>(grid: &Grid<T>, col: usize, row: usize, z: f64, margin: f64) -> bool {
-    let differs = |c: usize, r: usize| (grid.at(c, r) - z).abs() > margin;
+    // A void on one side does not hide a spike.
+    let differs = |c: usize, r: usize| grid.at(c, r).is_nan() || (grid.at(c, r) - z).abs() > margin;
     (col == 0 || differs(col - 1, row) || col + 1 == grid.cols() || differs(col + 1, row))
         && (row == 0 || differs(col, row - 1) || row + 1 == grid.rows() || differs(col, row + 1))
 }
@@ -138,46 +144,56 @@ pub fn gaussian<T: Height>(grid: &Grid<T>, sigma: [f64; 2], progress: &mut Progr
     let [kx, ky] = sigma.map(kernel);
     let (rx, ry) = (kx.len() / 2, ky.len() / 2);
     let (rows, cols) = (grid.rows(), grid.cols());
-    let mut sum = vec![0.0; cols + 2 * rx];
-    let mut mass = vec![0.0; cols + 2 * rx];
+    // Moments over the rows around, with `rx` columns of nothing on either side.
+    let mut moments = [(); 5].map(|()| vec![0.0; cols + 2 * rx]);
     let mut line = vec![(0.0, 0.0); cols];
+    let mut cut_off = Vec::new();
     let mut smooth = Vec::with_capacity(grid.z().len());
     for row in 0..rows {
-        progress.poll(cols * (kx.len() + ky.len()) / 4, || row as f64 / rows as f64)?;
-        sum[rx..rx + cols].fill(0.0);
+        let fraction = row as f64 / rows as f64;
+        let near = row.saturating_sub(ry)..(row + ry + 1).min(rows);
+        let [mass, sum, ..] = &mut moments;
         mass[rx..rx + cols].fill(0.0);
-        for (r, &w) in (row as i64 - ry as i64..).zip(&ky) {
-            if r < 0 || r >= rows as i64 {
-                continue;
-            }
-            let into = sum[rx..rx + cols].iter_mut().zip(&mut mass[rx..rx + cols]);
-            for ((sum, mass), z) in into.zip(grid.row(r as usize)) {
+        sum[rx..rx + cols].fill(0.0);
+        for r in near.clone() {
+            progress.poll(cols / 2, || fraction)?;
+            let w = ky[r + ry - row];
+            let into = mass[rx..rx + cols].iter_mut().zip(&mut sum[rx..rx + cols]);
+            for ((mass, sum), z) in into.zip(grid.row(r)) {
                 let z = z.to_f64();
                 let known = !z.is_nan();
-                *sum += if known { w * z } else { 0.0 };
                 *mass += if known { w } else { 0.0 };
+                *sum += if known { w * z } else { 0.0 };
             }
         }
         line.fill((0.0, 0.0));
         for (shift, &w) in kx.iter().enumerate() {
-            let from = sum[shift..shift + cols].iter().zip(&mass[shift..shift + cols]);
-            for (into, (sum, mass)) in line.iter_mut().zip(from) {
-                into.0 += w * sum;
-                into.1 += w * mass;
+            let from = mass[shift..shift + cols].iter().zip(&sum[shift..shift + cols]);
+            for (into, (mass, sum)) in line.iter_mut().zip(from) {
+                into.0 += w * mass;
+                into.1 += w * sum;
             }
         }
-        let mut local = 0;
-        smooth.extend(line.iter().zip(grid.row(row)).enumerate().map(|(col, (&(sum, mass), &z))| {
-            if z.to_f64().is_nan() {
-                z
-            } else if mass > COMPLETE {
-                T::from_f64(sum / mass)
-            } else {
-                local += 1;
-                T::from_f64(local_plane(grid, col, row, &kx, &ky).unwrap_or(sum / mass))
+        progress.poll(cols * kx.len() / 2, || fraction)?;
+        let start = smooth.len();
+        cut_off.clear();
+        for (col, (&z, &(mass, sum))) in grid.row(row).iter().zip(&line).enumerate() {
+            let is_void = z.to_f64().is_nan();
+            smooth.push(if is_void { z } else { T::from_f64(sum / mass) });
+            if mass <= COMPLETE && !is_void {
+                cut_off.push(col);
             }
-        }));
-        progress.poll(local * kx.len() * ky.len(), || row as f64 / rows as f64)?;
+        }
+        if let (Some(&first), Some(&last)) = (cut_off.first(), cut_off.last()) {
+            let columns = first.saturating_sub(rx)..(last + rx + 1).min(cols);
+            progress.poll((columns.len() * ky.len() + cut_off.len() * kx.len()) / 2, || fraction)?;
+            slope_moments(grid, row, near, columns, &ky, &mut moments);
+            for &col in &cut_off {
+                if let Some(z) = local_plane(&moments, col, &kx, &ky) {
+                    smooth[start + col] = T::from_f64(z);
+                }
+            }
+        }
     }
     Ok(smooth)
 }
@@ -189,26 +205,51 @@ const COMPLETE: f64 = 1.0 - 1e-9;
 /// which a plane is fitted.
 const LEAST_SPREAD: f64 = 1e-3;
 
-/// Height at (`col`, `row`) of the plane fitted with the kernel's weights to the
-/// valid pixels around: unlike their weighted mean it is not drawn to one side where
-/// the kernel is cut off, so that a slope stays a slope up to its edge. `None` where
-/// the pixels do not span a plane.
-fn local_plane<T: Height>(grid: &Grid<T>, col: usize, row: usize, kx: &[f64], ky: &[f64]) -> Option<f64> {
-    let (rx, ry) = (kx.len() / 2, ky.len() / 2);
+/// Puts the moments w dy, w dy^2 and w dy z of the rows `near` into the last three
+/// `moments`, for `columns`.
+fn slope_moments<T: Height>(
+    grid: &Grid<T>,
+    row: usize,
+    near: Range<usize>,
+    columns: Range<usize>,
+    ky: &[f64],
+    moments: &mut [Vec<f64>; 5],
+) {
+    let [mass, _, dy1, dy2, dyz] = moments;
+    let margin = (mass.len() - grid.cols()) / 2;
+    let within = columns.start + margin..columns.end + margin;
+    let (dy1, dy2, dyz) = (&mut dy1[within.clone()], &mut dy2[within.clone()], &mut dyz[within]);
+    for moment in [&mut *dy1, &mut *dy2, &mut *dyz] {
+        moment.fill(0.0);
+    }
+    for r in near {
+        let dy = r as f64 - row as f64;
+        let w = ky[r + ky.len() / 2 - row] * dy;
+        let into = dy1.iter_mut().zip(dy2.iter_mut()).zip(dyz.iter_mut());
+        for (((dy1, dy2), dyz), z) in into.zip(&grid.row(r)[columns.clone()]) {
+            let z = z.to_f64();
+            let known = !z.is_nan();
+            *dy1 += if known { w } else { 0.0 };
+            *dy2 += if known { w * dy } else { 0.0 };
+            *dyz += if known { w * z } else { 0.0 };
+        }
+    }
+}
+
+/// Height at `col` of the plane fitted with the kernel's weights to the valid pixels
+/// around: unlike their weighted mean it is not drawn to one side where the kernel is
+/// cut off, so that a slope stays a slope up to its edge. `None` where the pixels do
+/// not span a plane. `moments`: of w, w z, w dy, w dy^2, w dy z over the rows.
+fn local_plane(moments: &[Vec<f64>; 5], col: usize, kx: &[f64], ky: &[f64]) -> Option<f64> {
+    let [mass, sum, dy1, dy2, dyz] = moments;
     let (mut m, mut mx, mut my, mut mxx, mut mxy, mut myy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     let (mut mz, mut mxz, mut myz) = (0.0, 0.0, 0.0);
-    for r in row.saturating_sub(ry)..=(row + ry).min(grid.rows() - 1) {
-        let (dy, wy) = (r as f64 - row as f64, ky[r + ry - row]);
-        for c in col.saturating_sub(rx)..=(col + rx).min(grid.cols() - 1) {
-            let z = grid.at(c, r);
-            if z.is_nan() {
-                continue;
-            }
-            let (dx, w) = (c as f64 - col as f64, wy * kx[c + rx - col]);
-            (m, mx, my) = (m + w, mx + w * dx, my + w * dy);
-            (mxx, mxy, myy) = (mxx + w * dx * dx, mxy + w * dx * dy, myy + w * dy * dy);
-            (mz, mxz, myz) = (mz + w * z, mxz + w * dx * z, myz + w * dy * z);
-        }
+    for (i, &w) in (col..).zip(kx) {
+        let dx = (i - col) as f64 - (kx.len() / 2) as f64;
+        let wx = w * dx;
+        (m, mx, my) = (m + w * mass[i], mx + wx * mass[i], my + w * dy1[i]);
+        (mxx, mxy, myy) = (mxx + wx * dx * mass[i], mxy + wx * dy1[i], myy + w * dy2[i]);
+        (mz, mxz, myz) = (mz + w * sum[i], mxz + wx * sum[i], myz + w * dyz[i]);
     }
     // Cramer's rule for the constant term of z = a + b dx + c dy.
     let (cxx, cxy, cyy) = (mxx * myy - mxy * mxy, mx * myy - my * mxy, mx * mxy - my * mxx);
@@ -241,7 +282,7 @@ pub fn choose<T: Height>(grid: &Grid<T>, noise: f64, progress: &mut Progress) ->
         let z = gaussian(grid, [sigma, sigma], progress)?;
         let residual = mean_squared_difference(&z, grid.z());
         let risk = residual - variance + 2.0 * variance * centre_weight([sigma, sigma]);
-        if risk >= least {
+        if risk.is_nan() || risk >= least {
             break;
         }
         least = risk;

@@ -3,11 +3,11 @@
 
 mod common;
 
-use common::{assert_sound, form, quietly, Random, FORMS};
+use common::{assert_sound, form, outlined, quietly, Random, FORMS};
 use dem2tin_core::error::Error;
 use dem2tin_core::grid::Grid;
 use dem2tin_core::measure::rasterise;
-use dem2tin_core::outline::outline_mesh;
+use dem2tin_core::mesh::Location;
 use dem2tin_core::predicate::{orient2d, Metric, Point, UNIT};
 use proptest::prelude::*;
 
@@ -17,69 +17,77 @@ fn drawn(rows: &[&str]) -> (Vec<f32>, usize, usize) {
     (rows.iter().flat_map(|row| row.chars().map(valid)).collect(), rows.len(), rows[0].len())
 }
 
+type Mask = Box<dyn Fn(usize, usize) -> bool>;
+
 fn masked(rows: usize, cols: usize, mut valid: impl FnMut(usize, usize) -> bool) -> Vec<f32> {
     let height = |i| if valid(i % cols, i / cols) { 0.0 } else { f32::NAN };
     (0..rows * cols).map(height).collect()
 }
 
-/// Twice the area of the cell complex in pixels, and the pixels it covers.
-fn complex(z: &[f32], rows: usize, cols: usize) -> (i64, Vec<bool>) {
-    let (mut area, mut covered) = (0, vec![false; z.len()]);
+/// The pixels of the cell complex and a few places inside each of its cells.
+fn complex(z: &[f32], rows: usize, cols: usize) -> (Vec<bool>, Vec<Point>) {
+    let (mut covered, mut inside) = (vec![false; z.len()], Vec::new());
     for (row, col) in (0..rows - 1).flat_map(|row| (0..cols - 1).map(move |col| (row, col))) {
-        let i = row * cols + col;
-        let valid: Vec<_> =
-            [i, i + 1, i + cols, i + cols + 1].into_iter().filter(|&i| !z[i].is_nan()).collect();
-        if valid.len() >= 3 {
-            area += valid.len() as i64 - 2;
-            valid.into_iter().for_each(|i| covered[i] = true);
+        let corners = [(0, 0), (1, 0), (1, 1), (0, 1)];
+        let index = |(dx, dy): (usize, usize)| (row + dy) * cols + col + dx;
+        let void: Vec<_> = corners.into_iter().filter(|&c| z[index(c)].is_nan()).collect();
+        let at = |x, y| Point { x: col as i32 * UNIT + x, y: row as i32 * UNIT + y };
+        match void[..] {
+            [] => inside.extend([at(128, 51), at(205, 128), at(128, 205), at(51, 128)]),
+            [(x, y)] => inside.push(at(192 - 128 * x as i32, 192 - 128 * y as i32)),
+            _ => continue,
         }
+        corners.into_iter().filter(|c| !void.contains(c)).for_each(|c| covered[index(c)] = true);
     }
-    (area, covered)
+    (covered, inside)
 }
 
-/// Whether the centroid of the triangle lies in a cell of the complex.
-fn centroid_is_data(p: [Point; 3], z: &[f32], cols: usize) -> bool {
-    let (x, y) = (p.iter().map(|p| p.x).sum::<i32>(), p.iter().map(|p| p.y).sum::<i32>());
-    let (col, row) = ((x / (3 * UNIT)) as usize, (y / (3 * UNIT)) as usize);
-    let (dx, dy) = (x - 3 * UNIT * col as i32, y - 3 * UNIT * row as i32);
-    let valid = |c: usize, r: usize| z.get(r * cols + c).is_none_or(|z| !z.is_nan());
-    let missing: Vec<_> =
-        [(0, 0), (1, 0), (0, 1), (1, 1)].into_iter().filter(|&(c, r)| !valid(col + c, row + r)).collect();
-    let side = 3 * UNIT;
-    match missing[..] {
-        [] => true,
-        // The half next to the missing corner is void.
-        [(c, r)] => {
-            let from_corner = (if c == 0 { dx } else { side - dx }) + (if r == 0 { dy } else { side - dy });
-            from_corner >= side
-        }
-        _ => dx == 0 || dy == 0,
-    }
-}
-
+/// Sound, without a void pixel, with the whole cell complex, and no data
+/// triangle that hangs on a pixel outside it.
 fn assert_outlined(z: &[f32], rows: usize, cols: usize, metric: Metric) {
-    let (area, expected) = complex(z, rows, cols);
+    let (expected, inside) = complex(z, rows, cols);
     let grid = Grid::new(z, rows, cols).unwrap();
-    let mesh = match outline_mesh(&grid, metric) {
+    let mesh = match outlined(&grid, metric) {
         Ok(mesh) => mesh,
         Err(error) => {
             assert!(matches!(error, Error::Input { code: "no-area", .. }), "{error:?}");
-            return assert_eq!(area, 0);
+            return assert!(inside.is_empty());
         }
     };
     assert_sound(&mesh, true);
     let zeros = vec![0.0; mesh.points().len()];
-    let surface: Vec<f32> =
-        quietly(|progress| rasterise(&mesh, &zeros, rows, cols, progress)).unwrap();
-    let covered: Vec<bool> = surface.iter().map(|z| !z.is_nan()).collect();
-    assert_eq!(covered, expected);
+    let surface: Vec<f32> = quietly(|progress| rasterise(&mesh, &zeros, rows, cols, progress)).unwrap();
+    for (i, height) in surface.iter().enumerate() {
+        let is_covered = !height.is_nan();
+        assert!(is_covered || !expected[i], "data lost at {i} of {z:?}");
+        assert!(!is_covered || !z[i].is_nan(), "void covered at {i} of {z:?}");
+    }
     let mut twice = 0;
     for t in (0..mesh.triangles().len() as u32).filter(|&t| !mesh.triangle(t).is_void()) {
         let [a, b, c] = mesh.corners(t);
         twice += orient2d(a, b, c);
-        assert!(centroid_is_data([a, b, c], z, cols), "{z:?}");
+        for v in [a, b, c] {
+            let (col, row) = v.as_pixel().unwrap();
+            assert!(expected[row * cols + col], "a corner outside the data: {z:?}");
+        }
     }
-    assert_eq!(twice, area * i64::from(UNIT) * i64::from(UNIT));
+    let is_data = |t: u32| !mesh.triangle(t).is_void();
+    for p in &inside {
+        let found = match mesh.locate(*p, 0) {
+            Location::Face(t) => is_data(t),
+            Location::Edge(h) => is_data(h >> 2) && is_data(mesh.twin(h) >> 2),
+            Location::Vertex(_) => false,
+        };
+        assert!(found, "a cell is lost at {p:?} of {z:?}");
+    }
+    assert!(twice >= complex_area(z, rows, cols) * i64::from(UNIT) * i64::from(UNIT));
+}
+
+/// Twice the area of the cell complex in pixels.
+fn complex_area(z: &[f32], rows: usize, cols: usize) -> i64 {
+    let valid = |i: usize| i64::from(!z[i].is_nan());
+    let cell = |i: usize| (valid(i) + valid(i + 1) + valid(i + cols) + valid(i + cols + 1) - 2).max(0);
+    (0..rows - 1).flat_map(|row| (0..cols - 1).map(move |col| row * cols + col)).map(cell).sum()
 }
 
 #[test]
@@ -132,7 +140,7 @@ proptest! {
 fn patterns_that_broke_other_outlines() {
     let n = 33;
     let centre = |col: usize, row: usize| (col as f64 - 16.0).hypot(row as f64 - 16.0);
-    let masks: [(&str, Box<dyn Fn(usize, usize) -> bool>); 10] = [
+    let masks: [(&str, Mask); 10] = [
         ("checkerboard", Box::new(|c, r| (c + r) % 2 == 0)),
         ("coarse checkerboard", Box::new(|c, r| (c / 2 + r / 2) % 2 == 0)),
         ("checkerboard of 3", Box::new(|c, r| (c / 3 + r / 3) % 2 == 0)),
@@ -174,17 +182,17 @@ fn diagonal_contact_islands_and_lines() {
 fn straight_borders_need_no_points_between_their_ends() {
     let z = masked(30, 50, |col, row| (10..40).contains(&col) && (5..=20).contains(&row));
     let grid = Grid::new(&z, 30, 50).unwrap();
-    assert_eq!(outline_mesh(&grid, Metric::SQUARE).unwrap().points().len(), 4 + 4);
+    assert_eq!(outlined(&grid, Metric::SQUARE).unwrap().points().len(), 4 + 4);
     let z = masked(20, 20, |col, row| col >= row);
     let grid = Grid::new(&z, 20, 20).unwrap();
-    assert_eq!(outline_mesh(&grid, Metric::SQUARE).unwrap().points().len(), 4);
+    assert_eq!(outlined(&grid, Metric::SQUARE).unwrap().points().len(), 4);
 }
 
 #[test]
 fn a_raster_without_voids_is_a_rectangle() {
     for (rows, cols) in [(2, 2), (2, 1000), (1000, 2), (300, 200)] {
         let z = vec![0.0f32; rows * cols];
-        let mesh = outline_mesh(&Grid::new(&z, rows, cols).unwrap(), Metric::SQUARE).unwrap();
+        let mesh = outlined(&Grid::new(&z, rows, cols).unwrap(), Metric::SQUARE).unwrap();
         assert_eq!((mesh.points().len(), mesh.triangles().len()), (4, 2));
     }
 }

@@ -5,6 +5,7 @@ use dem2tin_core::check::check;
 use dem2tin_core::error::Result;
 use dem2tin_core::grid::{Grid, Height};
 use dem2tin_core::mesh::Mesh;
+use dem2tin_core::outline::outline_mesh;
 use dem2tin_core::pipeline::{triangulate, Options, Scales, Triangulation};
 use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::progress::Progress;
@@ -60,6 +61,7 @@ pub fn plain(rule: Rule, max_points: usize) -> Options {
         max_points,
         points_per_scale: usize::MAX,
         rule,
+        stop_at_noise: false,
         scales: Scales::Given(vec![[0.0; 2]]),
         despike: false,
         fit: false,
@@ -76,6 +78,10 @@ pub fn full(rule: Rule, max_points: usize) -> Options {
 pub fn run<T: Height>(z: &[T], rows: usize, cols: usize, options: &Options) -> Result<Triangulation> {
     let grid = Grid::new(z, rows, cols)?;
     quietly(|progress| triangulate(&grid, Metric::SQUARE, options, progress))
+}
+
+pub fn outlined<T: Height>(grid: &Grid<T>, metric: Metric) -> Result<Mesh> {
+    quietly(|progress| outline_mesh(grid, metric, progress))
 }
 
 /// Smooth hills with a little noise.

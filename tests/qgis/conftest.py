@@ -1,0 +1,91 @@
+"""A real QGIS without a window, in a fresh profile. For the Python that QGIS uses: see the Makefile."""
+
+import atexit
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+if importlib.util.find_spec("qgis") is None:  # the ordinary test run, in the virtual environment
+    collect_ignore_glob = ["test_*.py"]
+else:
+    profile = tempfile.mkdtemp(prefix="dem2tin-qgis-")
+    atexit.register(shutil.rmtree, profile, ignore_errors=True)
+    os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+    os.environ["GDAL_PAM_ENABLED"] = "NO"  # no .aux.xml beside the samples
+    os.environ.update(HOME=profile, XDG_RUNTIME_DIR=profile, QGIS_CUSTOM_CONFIG_PATH=profile)
+    sys.path += [str(ROOT / "qgis_plugin"), "/usr/share/qgis/python/plugins"]
+
+
+@pytest.fixture(scope="session")
+def app():
+    """QGIS, started once."""
+    from qgis.core import QgsApplication
+
+    application = QgsApplication([], True)
+    application.initQgis()
+    yield application
+    application.exitQgis()
+
+
+@pytest.fixture(scope="session")
+def provider(app):
+    """The plugin's provider, registered beside QGIS's own."""
+    from dem2tin.provider import Provider
+    from processing.core.Processing import Processing
+
+    Processing.initialize()
+    made = Provider()
+    assert app.processingRegistry().addProvider(made)
+    yield made
+    app.processingRegistry().removeProvider(made)
+
+
+@pytest.fixture
+def project(app):
+    """An empty project; its layers are gone before QGIS is."""
+    from qgis.core import QgsProject
+
+    made = QgsProject.instance()
+    made.clear()
+    yield made
+    made.clear()
+
+
+@pytest.fixture
+def run(provider):
+    """``run(name, feedback=None, **parameters)``: results of an algorithm of the plugin."""
+    import processing
+
+    def run(name, feedback=None, **parameters):
+        from support import Feedback
+
+        parameters = {
+            key: str(value) if isinstance(value, Path) else value for key, value in parameters.items()
+        }
+        return processing.run(f"dem2tin:{name}", parameters, feedback=feedback or Feedback())
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def command():
+    """``command(*arguments)``: run the command line, which must succeed."""
+    program = os.environ.get("DEM2TIN", str(ROOT / ".venv" / "bin" / "dem2tin"))
+    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+
+    def command(*arguments):
+        made = subprocess.run(
+            [program, *map(str, arguments)], capture_output=True, text=True, check=False, env=clean
+        )
+        assert made.returncode == 0, made.stderr
+        return made.stdout
+
+    return command

@@ -1,0 +1,124 @@
+"""The scripts of the benchmarks run, on inputs too small for their numbers to mean anything."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tin
+
+for library in ("matplotlib", "scipy", "pydelatin", "pyfqmr", "OpenImageIO"):
+    pytest.importorskip(library)
+
+FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
+
+
+@pytest.fixture(autouse=True)
+def _importable(monkeypatch):
+    monkeypatch.syspath_prepend(str(FOLDER))
+
+
+def script(name):
+    return importlib.import_module(name)
+
+
+def hills(rows, cols):
+    row, col = np.mgrid[0:rows, 0:cols]
+    return 100 + 80 * np.sin(col / 9) * np.cos(row / 7)
+
+
+def image(path, values):
+    import OpenImageIO as oiio
+
+    out = oiio.ImageOutput.create(str(path))
+    out.open(str(path), oiio.ImageSpec(values.shape[1], values.shape[0], 1, "uint8"))
+    out.write_image(np.rint(values).astype(np.uint8)[..., None])
+    out.close()
+
+
+def test_the_evaluator_agrees_with_the_core_and_knows_what_is_missing():
+    common = script("common")
+    z = hills(31, 43)
+    z[10:15, 20:30] = np.nan
+    mesh = tin.triangulate(tin.DEM(z), max_points=90)
+    heights = np.column_stack([mesh.pixels, mesh.vertices[:, 2]])
+    surface = common.rasterise(heights, mesh.triangles, z.shape)
+    np.testing.assert_allclose(surface, mesh.rasterize(), rtol=1e-9)
+    errors = common.evaluate(surface, z)
+    assert errors.rmse == pytest.approx(mesh.error().rmse)
+    assert errors.mae == pytest.approx(mesh.error().mae)
+    assert errors.largest == pytest.approx(mesh.error().max_error)
+    half = common.rasterise(heights, mesh.triangles[::2], z.shape)
+    assert common.evaluate(half, z).missing == (np.isfinite(z) & np.isnan(half)).sum() > 0
+
+
+def test_the_evaluator_takes_vertices_anywhere():
+    common = script("common")
+    points = np.array([[-0.5, -0.25, 0.0], [7.5, 0.0, 8.0], [0.0, 9.5, 9.5], [3.0, 3.0, 1.0]])
+    surface = common.rasterise(points, np.array([[0, 1, 2], [0, 3, 3]]), (6, 6))
+    row, col = np.mgrid[0:6, 0:6]
+    inside = np.isfinite(surface)
+    plane = np.linalg.solve(np.column_stack([points[:3, :2], np.ones(3)]), points[:3, 2])
+    assert 15 < inside.sum() < 36
+    np.testing.assert_allclose(surface[inside], (plane[0] * col + plane[1] * row + plane[2])[inside])
+
+
+@pytest.mark.parametrize("method", ["by_pydelatin", "by_pyfqmr", "by_grid"])
+def test_the_other_methods_give_the_surface_they_claim(method):
+    accuracy, common = script("accuracy"), script("common")
+    z = hills(40, 56)
+    vertices, triangles = getattr(accuracy, method)(z, 200)
+    errors = common.evaluate(common.rasterise(vertices, triangles, z.shape), z)
+    assert len(np.unique(triangles)) == pytest.approx(200, rel=0.1)
+    assert errors.rmse < 8
+    assert errors.missing < (100 if method == "by_pyfqmr" else 1)  # it shrinks a free border
+
+
+def test_accuracy(monkeypatch, capsys, tmp_path):
+    accuracy, common = script("accuracy"), script("common")
+    monkeypatch.setattr(common, "SAMPLE", tmp_path)
+    image(tmp_path / "made.png", hills(40, 50))
+    monkeypatch.setattr(accuracy, "SAMPLE", tmp_path / "made.png")
+    accuracy.main(["--size", "24", "--percent", "8"])
+    shown = capsys.readouterr().out
+    assert shown.count("| **auto** |") == 3 * 3 + 1
+    assert "### made (50 × 40), as it is, 8 %" in shown
+    assert "| pyfqmr |" in shown
+
+
+def test_stages(monkeypatch, capsys, tmp_path):
+    stages = script("stages")
+    image(tmp_path / "made.png", hills(40, 50))
+    monkeypatch.setattr(stages, "SAMPLE", tmp_path / "made.png")
+    stages.main(["--size", "24"])
+    shown = capsys.readouterr().out
+    assert "| `auto` | 1.00 | 1.00 | 1.00 | 1.00 |" in shown
+    assert shown.count("\n| ") == len(stages.VARIANTS) + 2
+
+
+def test_paper_tables_and_figures(capsys, tmp_path):
+    for name in ("peppers", "baboon"):
+        image(tmp_path / f"{name}_gray.png", hills(40, 40))
+    paper = script("paper_tables")
+    arguments = ["--images", str(tmp_path), "--runs", "3", "--share", "0.008"]
+    paper.main([*arguments, "--figures", str(tmp_path / "figures")])
+    shown = capsys.readouterr().out
+    for title in ("## Table 1", "## Table 2", "## Method auto", "## Requirements"):
+        assert title in shown
+    assert "| max | 1,000 | 23.27 |" in shown
+    assert shown.count("within 3 %") == shown.count("within 8 %") == 3
+    assert shown.count("within 10 %") == 4
+    assert shown.count("beat") == 4
+    for name in ("figure1.png", "figure3.png"):
+        assert (tmp_path / "figures" / name).stat().st_size > 1000
+
+
+def test_paper_tables_want_three_seeds_and_the_images(tmp_path):
+    paper = script("paper_tables")
+    with pytest.raises(SystemExit):
+        paper.main(["--images", str(tmp_path), "--runs", "2"])
+    with pytest.raises(SystemExit, match="no image"):
+        paper.main(["--images", str(tmp_path)])
