@@ -166,6 +166,19 @@ def test_interrupt_ends_with_130_and_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == [big]
 
 
+def test_error_map_is_written_and_guarded(tmp_path):
+    done = run(JACKSBORO, tmp_path / "x.tif", "--error-map", tmp_path / "e.tif", "--json", "-")
+    assert done.returncode == 0, done.stderr
+    with rasterio.open(tmp_path / "e.tif") as file:
+        error = np.ma.masked_invalid(file.read(1, masked=True))
+    assert np.sqrt((error.astype(float) ** 2).mean()) == pytest.approx(
+        json.loads(done.stdout)["rmse"], rel=1e-4
+    )
+    again = run(JACKSBORO, tmp_path / "y.tif", "--error-map", tmp_path / "e.tif")
+    assert again.returncode == 4
+    assert "exists already" in again.stderr
+
+
 def test_help_names_every_option():
     shown = run("--help").stdout
     for option in cli.options.OPTIONS:
