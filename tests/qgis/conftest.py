@@ -1,6 +1,5 @@
 """A real QGIS without a window, in a fresh profile. For the Python that QGIS uses: see the Makefile."""
 
-import atexit
 import importlib.util
 import os
 import shutil
@@ -17,11 +16,24 @@ if importlib.util.find_spec("qgis") is None:  # the ordinary test run, in the vi
     collect_ignore_glob = ["test_*.py"]
 else:
     profile = tempfile.mkdtemp(prefix="dem2tin-qgis-")
-    atexit.register(shutil.rmtree, profile, ignore_errors=True)
     os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
     os.environ["GDAL_PAM_ENABLED"] = "NO"  # no .aux.xml beside the samples
     os.environ.update(HOME=profile, XDG_RUNTIME_DIR=profile, QGIS_CUSTOM_CONFIG_PATH=profile)
     sys.path += [str(ROOT / "qgis_plugin"), "/usr/share/qgis/python/plugins"]
+
+    status = pytest.StashKey[int]()
+
+    def pytest_sessionfinish(session, exitstatus):
+        """Remember the result for the exit below."""
+        session.config.stash[status] = int(exitstatus)
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_unconfigure(config):
+        """Leave without Python's own clearing up: GDAL's bindings crash in it once QGIS has closed GDAL."""
+        shutil.rmtree(profile, ignore_errors=True)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(config.stash.get(status, 1))
 
 
 @pytest.fixture(scope="session")
