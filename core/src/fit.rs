@@ -65,6 +65,7 @@ impl<'m> Normal<'m> {
             let p = mesh.corners(t as u32);
             let hats = Hats::over(p);
             let mut work = 16;
+            let (mut block, mut loads) = ([0.0; 6], [[0.0; 3]; K]);
             for_each_pixel(grid, p, v.map(|v| z[v]), Corners::Included, |col, row, height, plane| {
                 work += 4;
                 let pixel = row * grid.cols() + col;
@@ -73,15 +74,21 @@ impl<'m> Normal<'m> {
                 }
                 let hat = hats.at(col, row);
                 let [a, b, c] = hat;
-                for (sum, product) in m.iter_mut().zip([a * a, a * b, a * c, b * b, b * c, c * c]) {
+                for (sum, product) in block.iter_mut().zip([a * a, a * b, a * c, b * b, b * c, c * c]) {
                     *sum += product;
                 }
-                for (side, value) in sides.iter_mut().zip(value(pixel, height, plane)) {
-                    for (v, hat) in v.into_iter().zip(hat) {
-                        side[v] += hat * value;
+                for (load, value) in loads.iter_mut().zip(value(pixel, height, plane)) {
+                    for (load, hat) in load.iter_mut().zip(hat) {
+                        *load += hat * value;
                     }
                 }
             });
+            *m = block;
+            for (side, load) in sides.iter_mut().zip(loads) {
+                for (v, load) in v.into_iter().zip(load) {
+                    side[v] += load;
+                }
+            }
             for (v, diagonal) in v.into_iter().zip([m[0], m[3], m[5]]) {
                 inverse[v] += diagonal;
             }

@@ -220,7 +220,6 @@ fn flip<T: Height>(
             return Ok(round == 0);
         }
         if options.fit {
-            progress.stage("fit")?;
             fit_heights(&refiner.mesh, &mut refiner.z, target, progress)?;
         }
     }
