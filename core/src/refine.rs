@@ -3,7 +3,7 @@
 //! In every triangle the errors |z - plane| of its pixels (closed triangle,
 //! corners excluded) are taken. Their quantile `priority` times count^`weight`
 //! tells how urgent the triangle is; the pixel at the quantile `candidate` is
-//! what is inserted. The paper's metric is (0.5, 0, 0.5), Garland and Heckbert's
+//! what is inserted (if that is the worst one, a share of its error counts, too). The paper's metric is (0.5, 0, 0.5), Garland and Heckbert's
 //! is (1, 0, 1).
 
 use crate::error::Result;
@@ -45,9 +45,10 @@ pub enum Stop {
 /// ones no longer fit the cache and use a local queue.
 const EXACT_PIXELS: usize = 1 << 20;
 
-/// Share of the worst error added to a quantile priority: it only parts ties,
-/// above all among triangles whose median error is zero.
-const TIE_BREAK: f64 = 1e-9;
+/// Where the worst pixel is what gets inserted, this share of its error counts beside
+/// the quantile: a triangle that fits but for one pixel does not wait forever, and
+/// those whose median error is zero are told apart.
+const WORST_SHARE: f64 = 0.3;
 
 /// Index of the quantile `q` among `n` sorted errors; 0.5 gives the lower median.
 pub fn quantile_index(n: usize, q: f64) -> usize {
@@ -203,14 +204,14 @@ impl Refiner {
             }
             priority = select(&mut self.errors, rule.priority);
         }
+        if rule.candidate == 1.0 && rule.priority < 1.0 {
+            priority += WORST_SHARE * worst.error;
+        }
         priority *= match rule.weight {
             0.0 => 1.0,
             0.5 => (worst.count as f64).sqrt(),
             weight => (worst.count as f64).powf(weight),
         };
-        if rule.candidate == 1.0 && rule.priority < 1.0 {
-            priority += TIE_BREAK * worst.error;
-        }
         let pixel = row as u64 * grid.cols() as u64 + col as u64;
         self.queue.push(Candidate { priority, pixel, triangle: t, version });
         work

@@ -63,7 +63,10 @@ fn choices(z: &[f64], cols: usize, points: &[Point], rule: &Rule) -> Vec<(f64, P
         errors.sort_by(|a, b| a.0.total_cmp(&b.0));
         let at = |q: f64| errors[((errors.len() - 1) as f64 * q) as usize];
         if !errors.is_empty() && at(rule.bound).0 > rule.tolerance {
-            found.push((at(rule.priority).0 * (errors.len() as f64).powf(rule.weight), at(rule.candidate).1));
+            let is_worst = rule.candidate == 1.0 && rule.priority < 1.0;
+            let share = if is_worst { 0.3 * at(1.0).0 } else { 0.0 };
+            let count = errors.len() as f64;
+            found.push(((at(rule.priority).0 + share) * count.powf(rule.weight), at(rule.candidate).1));
         }
     }
     found
