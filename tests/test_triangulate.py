@@ -298,3 +298,16 @@ def test_to_geodataframe_holds_valid_polygons_with_the_crs():
     assert frame.geometry.has_z.all()
     assert frame.geometry.exterior.is_ccw.all()
     assert frame["max_error"].max() > 0
+
+
+@pytest.mark.parametrize("sigma", [2.0, 10.0])
+def test_automatic_stop_is_near_the_best_number_of_points(sigma):
+    z = hills(200, 200, 12, relief=500)
+    noisy = tin.DEM(z + np.random.default_rng(12).normal(0, sigma, z.shape))
+
+    def rmse(max_points: object) -> float:
+        return float(np.sqrt(np.mean((tin.triangulate(noisy, max_points=max_points).rasterize() - z) ** 2)))
+
+    best = min(rmse(f"{percent}%") for percent in (0.5, 1, 2, 3, 5, 8, 12, 20))
+    assert rmse("auto") <= 1.05 * best
+    assert tin.triangulate(noisy, max_points="auto").report.stop_reason == "noise"
