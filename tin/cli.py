@@ -56,6 +56,9 @@ def parser() -> argparse.ArgumentParser:
         section = made.add_argument_group(title)
         for option in options.of_group(group):
             _add(section, option)
+        if group == "method":
+            text = "vector file whose points are vertices from the start"
+            section.add_argument("--points", metavar="FILE[:LAYER]", help=text)
     section = made.add_argument_group("the run")
     section.add_argument("--overwrite", action="store_true", help="replace outputs that exist")
     section.add_argument("--quiet", action="store_true", help="no progress and no report")
@@ -104,7 +107,7 @@ def _fail(message: str, code: int) -> int:
 
 def run(given: argparse.Namespace) -> None:
     """Read, triangulate, write and report."""
-    from tin import formats, reader
+    from tin import formats, reader, vector
     from tin.tin import triangulate
 
     start = time.perf_counter()
@@ -119,14 +122,15 @@ def run(given: argparse.Namespace) -> None:
     formats.check_outputs(
         given.outputs,
         overwrite=given.overwrite,
-        inputs=[given.dem],
+        inputs=[given.dem, *([given.points] if given.points else [])],
         report=report,
         error_map=given.error_map,
     )
     bar = Bar(sys.stderr, quiet=given.quiet)
     bar("read", 0.0)
     dem = reader.open(given.dem, **reading)
-    mesh = triangulate(dem, progress=bar, **method)
+    points = vector.read_points(given.points, dem.crs) if given.points else None
+    mesh = triangulate(dem, points=points, progress=bar, **method)
     for path in given.outputs:
         bar(f"write {Path(path).name}", 0.0)
         formats.write(mesh, path, overwrite=given.overwrite, **formats.accepted(path, writing))

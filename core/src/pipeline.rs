@@ -10,6 +10,7 @@ use crate::predicate::Metric;
 use crate::progress::Progress;
 use crate::refine::{Refiner, Rule, Stop};
 use crate::scale::{choose, gaussian, noise, noise_left, spikes};
+use std::borrow::Cow;
 
 /// Which smoothed images are refined, coarse to fine.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,8 +62,8 @@ pub struct Triangulation {
 }
 
 /// The image the mesh is made to follow, after despiking, and its smoothed forms.
-struct Images<T> {
-    data: Vec<T>,
+struct Images<'a, T: Height> {
+    data: Cow<'a, [T]>,
     spikes: Vec<usize>,
     noise: f64,
 }
@@ -91,7 +92,7 @@ pub fn triangulate<T: Height>(
     let bounded = options.rule.tolerance > 0.0 && options.rule.bound == 1.0;
     let (mut scales, mut finest) = match &options.scales {
         // A bound on the error counts against the data, so nothing is smoothed away.
-        Scales::Auto if bounded => (vec![[0.0; 2]], data.z().to_vec()),
+        Scales::Auto if bounded => (vec![[0.0; 2]], Cow::Borrowed(data.z())),
         Scales::Auto => {
             let smooth = choose(&data, noise, progress)?;
             (vec![[smooth.sigma; 2]], smooth.z)
@@ -164,13 +165,17 @@ fn validate<T: Height>(options: &Options, grid: &Grid<T>) -> Result<()> {
     Ok(())
 }
 
-fn prepare<T: Height>(grid: &Grid<T>, options: &Options, progress: &mut Progress) -> Result<Images<T>> {
-    let mut data = grid.z().to_vec();
+fn prepare<'a, T: Height>(
+    grid: &Grid<'a, T>,
+    options: &Options,
+    progress: &mut Progress,
+) -> Result<Images<'a, T>> {
+    let mut data = Cow::Borrowed(grid.z());
     let mut removed = Vec::new();
     if options.despike {
         progress.stage("despike")?;
         for (pixel, z) in spikes(grid, noise(grid), progress)? {
-            data[pixel] = z;
+            data.to_mut()[pixel] = z;
             removed.push(pixel);
         }
     }
@@ -182,18 +187,18 @@ fn prepare<T: Height>(grid: &Grid<T>, options: &Options, progress: &mut Progress
 
 /// Fits the heights to the data, with as much of the smoothed image mixed in as the
 /// noise that the mesh would still follow calls for; returns that mixture.
-fn fit<T: Height>(
+fn fit<'a, T: Height>(
     refiner: &mut Refiner,
-    data: &Grid<T>,
-    mut smooth: Vec<T>,
+    data: &Grid<'a, T>,
+    mut smooth: Cow<'a, [T]>,
     noise: f64,
     sigma: [f64; 2],
     progress: &mut Progress,
-) -> Result<Vec<T>> {
+) -> Result<Cow<'a, [T]>> {
     progress.stage("fit")?;
     if noise == 0.0 || sigma == [0.0; 2] {
         fit_heights(&refiner.mesh, &mut refiner.z, data, progress)?;
-        return Ok(data.z().to_vec());
+        return Ok(Cow::Borrowed(data.z()));
     }
     let random_sign = |i: u64| if scramble(i) & 1 == 0 { 1.0 } else { -1.0 };
     let probe: Vec<T> =
@@ -201,7 +206,7 @@ fn fit<T: Height>(
     let smooth_probe = gaussian(&Grid::new(&probe, data.rows(), data.cols())?, sigma, progress)?;
     let blend = Blend { data: *data, smooth: &smooth, probe: &probe, smooth_probe: &smooth_probe, noise };
     let share = blend.fit(&refiner.mesh, &mut refiner.z, progress)?;
-    for (smooth, data) in smooth.iter_mut().zip(data.z()) {
+    for (smooth, data) in smooth.to_mut().iter_mut().zip(data.z()) {
         *smooth = T::from_f64(share * smooth.to_f64() + (1.0 - share) * data.to_f64());
     }
     Ok(smooth)

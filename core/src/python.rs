@@ -317,7 +317,8 @@ fn gaussian<'py>(
     };
     let heights = z.as_slice()?;
     let smooth = detached(py, None, |progress| {
-        scale::gaussian(&Grid::new(heights, rows, cols)?, [sigma.0, sigma.1], progress)
+        let grid = Grid::new(heights, rows, cols)?;
+        Ok(scale::gaussian(&grid, [sigma.0, sigma.1], progress)?.into_owned())
     })?;
     smooth.into_pyarray(py).reshape([rows, cols])
 }

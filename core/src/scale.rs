@@ -3,6 +3,7 @@
 use crate::error::Result;
 use crate::grid::{Grid, Height};
 use crate::progress::Progress;
+use std::borrow::Cow;
 use std::ops::Range;
 
 /// Gaussian kernels are cut off at this many standard deviations.
@@ -137,9 +138,13 @@ pub fn noise_left(sigma: [f64; 2]) -> f64 {
 /// The image at scale t = sigma^2: convolution with a Gaussian of `sigma` = [along
 /// columns' direction (x), along rows' direction (y)] pixels. Void stays void and has
 /// no weight, nor has what lies beyond the border; there the kernel fits a plane.
-pub fn gaussian<T: Height>(grid: &Grid<T>, sigma: [f64; 2], progress: &mut Progress) -> Result<Vec<T>> {
+pub fn gaussian<'a, T: Height>(
+    grid: &Grid<'a, T>,
+    sigma: [f64; 2],
+    progress: &mut Progress,
+) -> Result<Cow<'a, [T]>> {
     if sigma == [0.0, 0.0] {
-        return Ok(grid.z().to_vec());
+        return Ok(Cow::Borrowed(grid.z()));
     }
     let [kx, ky] = sigma.map(kernel);
     let (rx, ry) = (kx.len() / 2, ky.len() / 2);
@@ -195,7 +200,7 @@ pub fn gaussian<T: Height>(grid: &Grid<T>, sigma: [f64; 2], progress: &mut Progr
             }
         }
     }
-    Ok(smooth)
+    Ok(Cow::Owned(smooth))
 }
 
 /// A kernel that finds more than this share of its weight is not cut off by a void
@@ -265,8 +270,8 @@ fn local_plane(moments: &[Vec<f64>; 5], col: usize, kx: &[f64], ky: &[f64]) -> O
 const SIGMAS: [f64; 11] = [0.0, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2, 3.0, 4.0];
 
 /// A smoothed image and how it was made.
-pub struct Smooth<T> {
-    pub z: Vec<T>,
+pub struct Smooth<'a, T: Height> {
+    pub z: Cow<'a, [T]>,
     /// Standard deviation in pixels.
     pub sigma: f64,
 }
@@ -274,9 +279,13 @@ pub struct Smooth<T> {
 /// The Gaussian image with the least unbiased estimate of the risk (Stein 1981),
 /// mean(r^2) - noise^2 + 2 noise^2 h0. The risk falls and then rises with sigma, so
 /// the search stops when it has risen.
-pub fn choose<T: Height>(grid: &Grid<T>, noise: f64, progress: &mut Progress) -> Result<Smooth<T>> {
+pub fn choose<'a, T: Height>(
+    grid: &Grid<'a, T>,
+    noise: f64,
+    progress: &mut Progress,
+) -> Result<Smooth<'a, T>> {
     let variance = noise * noise;
-    let mut best = Smooth { z: grid.z().to_vec(), sigma: 0.0 };
+    let mut best = Smooth { z: Cow::Borrowed(grid.z()), sigma: 0.0 };
     let mut least = variance;
     for &sigma in &SIGMAS[1..] {
         let z = gaussian(grid, [sigma, sigma], progress)?;

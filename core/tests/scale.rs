@@ -10,7 +10,7 @@ use proptest::prelude::*;
 
 fn smooth<T: Height>(z: &[T], rows: usize, cols: usize, sigma: [f64; 2]) -> Vec<T> {
     let grid = Grid::new(z, rows, cols).unwrap();
-    quietly(|progress| gaussian(&grid, sigma, progress)).unwrap()
+    quietly(|progress| gaussian(&grid, sigma, progress)).unwrap().into_owned()
 }
 
 /// Pixels of a raster that despiking replaces, found with its own noise estimate.
