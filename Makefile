@@ -23,7 +23,11 @@ $(VENV)/installed: $(VENV)/ready $(CORE)
 	touch $@
 
 $(VENV)/tools: $(VENV)/installed
-	$(BIN)/maturin develop --release --quiet --extras test,lint,bench
+	$(BIN)/maturin develop --release --quiet --extras test,bench
+	touch $@
+
+$(VENV)/linters: $(VENV)/tools
+	$(BIN)/maturin develop --release --quiet --extras lint
 	touch $@
 
 demo: $(VENV)/installed
@@ -64,7 +68,7 @@ pictures: $(VENV)/installed $(QGIS_SITE)/ready
 	PYTHONPATH=$(abspath $(QGIS_SITE)) QGIS_PICTURES=$(abspath docs/images) \
 	  $(QGIS_PYTHON) -m pytest tests/qgis/test_pictures.py -p no:cacheprovider
 
-lint: $(VENV)/tools
+lint: $(VENV)/linters
 	cargo fmt --all --check
 	cargo clippy --release --all-targets --all-features -- -D warnings
 	$(BIN)/ruff check .
