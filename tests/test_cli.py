@@ -142,6 +142,67 @@ def test_a_mistake_gets_one_line_and_the_right_exit_code(tmp_path, arguments, co
     assert (tmp_path / "taken.gpkg").read_text() == "mine"
 
 
+def test_an_input_named_with_a_layer_or_subdataset_is_not_overwritten(tmp_path):
+    import geopandas
+
+    points = tmp_path / "points.gpkg"
+    frame = geopandas.GeoDataFrame(geometry=[shapely.Point(745000, 4053000)], crs="EPSG:32616")
+    frame.to_file(points, layer="summits", engine="fiona")
+    copy = tmp_path / "dem.tif"
+    copy.write_bytes((SAMPLES / "jacksboro.tif").read_bytes())
+    for arguments in (
+        [JACKSBORO, points, "--points", f"{points}:summits"],
+        [f"GTIFF_DIR:1:{copy}", copy],
+    ):
+        before = Path(arguments[1]).read_bytes()
+        done = run(*arguments, "--overwrite")
+        assert done.returncode == 4, done
+        assert "belongs to the input" in done.stderr
+        assert Path(arguments[1]).read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("x" * 300 + ".obj", []), ("x.obj", ["--json", "y" * 300]), ("x.obj", ["--max-points", "9" * 20])],
+)
+def test_names_and_numbers_beyond_all_bounds_get_one_line(tmp_path, name, options):
+    done = run(
+        JACKSBORO,
+        tmp_path / name,
+        *options,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(SAMPLES.parent)},
+    )
+    assert done.returncode in (2, 4)
+    assert done.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_a_report_that_cannot_be_printed_gets_one_line(tmp_path):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            command(JACKSBORO, tmp_path / "x.obj"),
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 4
+    assert done.stderr.count("\n") == 1
+
+
+def test_points_outside_the_dem_are_counted(tmp_path):
+    points = tmp_path / "p.geojson"
+    points.write_text(
+        '{"type":"FeatureCollection","features":[{"type":"Feature","properties":{},'
+        '"geometry":{"type":"Point","coordinates":[0,0]}}]}'
+    )
+    done = run(JACKSBORO, tmp_path / "x.obj", "--points", points)
+    assert done.returncode == 0
+    assert "1 of 1 points lie outside the DEM" in done.stderr
+
+
 def test_overwrite_replaces_and_quiet_is_quiet(tmp_path):
     (tmp_path / "x.obj").write_text("old")
     done = run(JACKSBORO, tmp_path / "x.obj", "--overwrite", "--quiet")

@@ -140,7 +140,7 @@ def test_errors_and_raster_agree_with_brute_force(method):
     assert found.mae == pytest.approx(error.mean(), rel=1e-9)
     assert found.max_error == pytest.approx(error.max(), rel=1e-9)
     assert found.mean == pytest.approx((surface - source.z).mean(), abs=1e-9)
-    assert found.p95 == pytest.approx(np.quantile(error, 0.95, method="lower"), rel=1e-6)
+    assert found.p95 == pytest.approx(np.quantile(error, 0.95, method="inverted_cdf"), rel=1e-6)
     assert mesh.triangle_errors.max() == pytest.approx(error.max(), rel=1e-9)
 
 
@@ -183,6 +183,22 @@ def test_a_tolerance_is_a_promise():
         assert mesh.report.max_error_without_spikes == mesh.error().max_error
 
 
+def test_a_tolerance_of_zero_is_a_tolerance():
+    z = np.round(hills(30, 40, 13))
+    mesh = tin.triangulate(tin.DEM(z), tolerance=0, despike=False)
+    assert mesh.report.stop_reason == "tolerance"
+    assert mesh.error().max_error < 1e-9
+    assert mesh.report.points < z.size
+
+
+def test_the_reason_to_stop_is_what_was_asked_for():
+    assert tin.triangulate(tin.DEM(np.zeros((20, 30))), max_points=100).report.stop_reason == "exact"
+    ragged = np.random.default_rng(3).random((40, 40)) < 0.8
+    mesh = tin.triangulate(tin.DEM(hills(40, 40), ragged), max_points=4)
+    assert mesh.report.stop_reason == "outline"
+    assert "outline" in str(mesh.report)
+
+
 def test_a_tolerance_excepts_only_what_was_despiked():
     z = hills(80, 80, 7)
     z[20, 30] += 500
@@ -216,6 +232,14 @@ def test_initial_points_are_vertices():
     mesh = tin.triangulate(source, points=np.vstack([wanted, outside]), max_points=10, **PLAIN)
     placed = {tuple(p) for p in mesh.pixels.astype(int).tolist()}
     assert {(40, 30), (7, 55)} <= placed
+
+
+def test_points_that_are_none_are_refused():
+    for points in ("x", [("a", "b")], [1.0, 2.0]):
+        with pytest.raises(tin.InputError) as caught:
+            tin.triangulate(dem(), points=points)
+        assert caught.value.code == "bad-points"
+    assert tin.triangulate(dem(), points=[], max_points=20).report.points == 20
 
 
 def test_same_input_same_bytes():

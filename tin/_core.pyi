@@ -51,7 +51,7 @@ def triangulate(
     priority: float,
     weight: float,
     candidate: float,
-    tolerance: float,
+    tolerance: float | None,
     bound: float,
     stop_at_noise: bool,
     scales: list[tuple[float, float]] | None,

@@ -89,14 +89,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         run(parser().parse_args(arguments))
+        sys.stdout.flush()
     except TinError as error:
         return _fail(str(error), next(code for kind, code in EXIT_CODES if isinstance(error, kind)))
     except KeyboardInterrupt:
         return _fail("interrupted", 130)
     except MemoryError:
         return _fail("not enough memory for this DEM", 3)
-    except BrokenPipeError:
-        return _fail("standard output was closed", 4)
+    except OSError as error:
+        # What the library writes raises OutputError: this is the report on its way out.
+        sys.stdout = None  # type: ignore[assignment]
+        return _fail(str(error), 4)
     return 0
 
 
@@ -108,7 +111,7 @@ def _fail(message: str, code: int) -> int:
 def run(given: argparse.Namespace) -> None:
     """Read, triangulate, write and report."""
     from tin import formats, reader, vector
-    from tin.tin import triangulate
+    from tin.tin import nearest_pixels, triangulate
 
     start = time.perf_counter()
     values = vars(given)
@@ -122,7 +125,7 @@ def run(given: argparse.Namespace) -> None:
     formats.check_outputs(
         given.outputs,
         overwrite=given.overwrite,
-        inputs=[given.dem, *([given.points] if given.points else [])],
+        inputs=[*reader.source_files(given.dem), *reader.source_files(given.points or "")],
         report=report,
         error_map=given.error_map,
     )
@@ -130,6 +133,10 @@ def run(given: argparse.Namespace) -> None:
     bar("read", 0.0)
     dem = reader.open(given.dem, **reading)
     points = vector.read_points(given.points, dem.crs) if given.points else None
+    if points is not None and not given.quiet:
+        outside = len(points) - len(nearest_pixels(dem, points)[0])
+        if outside or not len(points):
+            print(f"dem2tin: {outside} of {len(points)} points lie outside the DEM", file=sys.stderr)
     mesh = triangulate(dem, points=points, progress=bar, **method)
     for path in given.outputs:
         bar(f"write {Path(path).name}", 0.0)

@@ -33,7 +33,8 @@ class Report:
     triangles: int
     stop_reason: str
     """"points": the number asked for was reached; "tolerance": every triangle is within it;
-    "noise": more points would only fit the noise."""
+    "noise": more points would only fit the noise; "exact": every pixel lies on the TIN; "outline": the
+    outline of the data and the points given are already more than was asked for."""
     errors: Errors
     max_error_without_spikes: float
     """The largest error over the pixels that despiking left alone: what a tolerance promises."""
@@ -67,6 +68,8 @@ class Report:
                 f"{self.spikes:,} spikes replaced; "
                 f"max error without them {self.max_error_without_spikes:.4g}{unit}"
             )
+        if self.stop_reason == "outline":
+            lines.append("the outline of the data and the points given need this many points")
         if e.uncovered:
             lines.append(f"{e.uncovered:,} valid pixels are isolated or on lines one pixel wide: not covered")
         return "\n".join(lines)

@@ -17,8 +17,10 @@ if TYPE_CHECKING:
     from tin.dem import DEM
 
 MIN_POINTS = 4
+MAX_POINTS = 2**32 - 1
 NOISE_STOP = "auto"
 MAX_SCALES = 32
+MAX_SIGMA = 100.0  # pixels; the core refuses more
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,12 @@ def _number(value: Any, least: float = 0.0, most: float = math.inf) -> float:
     except (TypeError, ValueError):
         raise ValueError(f"{value!r} is not a number") from None
     if not math.isfinite(number) or not least <= number <= most:
-        bounds = f"at least {least:g}" if math.isinf(most) else f"between {least:g} and {most:g}"
-        raise ValueError(f"{value!r} must be a finite number, {bounds}")
+        limits = [
+            f"at {word} {limit:.10g}"
+            for word, limit in (("least", least), ("most", most))
+            if math.isfinite(limit)
+        ]
+        raise ValueError(", ".join([f"{value!r} must be a finite number", " and ".join(limits)]).rstrip(", "))
     return number
 
 
@@ -109,7 +115,7 @@ def _points(value: Any) -> int | Share | str:
         if percent == 0.0:
             raise ValueError("0% leaves no points; give more than that")
         return Share(percent)
-    return _whole(value, MIN_POINTS)
+    return _whole(value, MIN_POINTS, MAX_POINTS)
 
 
 def _distance(value: Any) -> Distance:
@@ -117,7 +123,7 @@ def _distance(value: Any) -> Distance:
         return value
     text = value.strip() if isinstance(value, str) else value
     if isinstance(text, str) and text.lower().endswith("px"):
-        return Distance(_number(text[:-2], 0.0, 1000.0), in_pixels=True)
+        return Distance(_number(text[:-2], 0.0, MAX_SIGMA), in_pixels=True)
     return Distance(_number(text))
 
 
@@ -252,7 +258,7 @@ OPTIONS: tuple[Option, ...] = (
     ),
     Option(
         "points_per_scale",
-        lambda value: _whole(value, 1),
+        lambda value: _whole(value, 1, MAX_POINTS),
         "new vertices at most in each scale (default: an even share of the points)",
         metavar="M",
         advanced=True,
@@ -359,7 +365,7 @@ def core_arguments(values: Mapping[str, Any], dem: DEM) -> dict[str, Any]:
         "priority": options["metric"],
         "weight": options["weight"],
         "candidate": options["candidate"],
-        "tolerance": tolerance or 0.0,
+        "tolerance": tolerance,
         # The paper's tolerance is on its metric; auto and max promise a maximum.
         "bound": options["metric"] if options["method"] == "median" else 1.0,
         "stop_at_noise": stop_at_noise,

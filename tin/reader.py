@@ -81,6 +81,34 @@ def open(
             return DEM.from_rasterio(dataset, band, z_factor, max_pixels)
 
 
+def source_files(name: str) -> list[Path]:
+    """The existing files that a file, dataset or layer name stands for, for example ``netcdf:x.nc:z``.
+
+    Those a VRT names are among them, and the archive of ``/vsizip/x.zip/y.tif``.
+    """
+    names = {
+        name,
+        *name.replace('"', "").split(":"),
+        re.sub(r"^(/vsi\w+/)+", "", name),
+        name.rpartition(":")[0],
+    }
+    for part in list(names):
+        names.update(str(folder) for folder in Path(part).parents)
+    try:
+        import rasterio
+
+        if _REMOTE.search(name):
+            raise _remote(name, "is remote")
+        _check_sources(Path(name), name, set())
+        with warnings.catch_warnings(), rasterio.Env(CPL_VSIL_CURL_ALLOWED_FILENAME="-"):
+            warnings.simplefilter("ignore")
+            with rasterio.open(name) as dataset:
+                names.update(dataset.files)
+    except Exception:  # noqa: BLE001 - whatever is wrong with the file, reading it will say so
+        names.discard("")
+    return [Path(part) for part in sorted(names) if part and _is_file(Path(part))]
+
+
 def _head(name: str) -> bytes:
     """Return the first bytes of a local file, none of a folder or of a GDAL dataset name that is no file."""
     path = Path(name)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tin import _core, options
-from tin.errors import InputError
+from tin.errors import InputError, OptionError
 from tin.metrics import Errors, Report
 
 if TYPE_CHECKING:
@@ -104,6 +104,10 @@ class Tin:
 
     def rasterize(self, dtype: npt.DTypeLike = np.float64) -> npt.NDArray[np.floating[Any]]:
         """(rows, cols) heights of the TIN on the DEM's pixel centres, NaN where there is no triangle."""
+        if np.dtype(dtype) not in (np.float32, np.float64):
+            raise OptionError(
+                "bad-option", f"a raster of heights is float32 or float64, not {np.dtype(dtype)}"
+            )
         single = np.dtype(dtype) == np.float32
         return self._core.rasterize_f32() if single else self._core.rasterize_f64()
 
@@ -179,11 +183,24 @@ def triangulate(
 def _initial(dem: DEM, points: npt.ArrayLike | None) -> list[tuple[int, int]]:
     if points is None:
         return []
-    places = np.asarray(points, dtype=np.float64)
+    try:
+        places = np.asarray(points, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError("bad-points", f"points must be (n, 2) map coordinates: {error}") from error
+    if places.size == 0:
+        return []
     if places.ndim != 2 or places.shape[1] < 2:
-        raise InputError("bad-points", f"points must be (n, 2) map coordinates, not {places.shape}")
-    places = places[np.isfinite(places[:, :2]).all(axis=1)]
-    col, row = dem.map_to_pixel(places[:, 0], places[:, 1])
+        raise InputError("bad-points", f"points must be (n, 2) map coordinates, not of shape {places.shape}")
+    col, row = nearest_pixels(dem, places)
+    return list(zip(col.tolist(), row.tolist()))
+
+
+def nearest_pixels(
+    dem: DEM, points: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Column and row of the pixels nearest to the (n, 2) map coordinates that lie on the raster."""
+    points = points[np.isfinite(points[:, :2]).all(axis=1)]
+    col, row = dem.map_to_pixel(points[:, 0], points[:, 1])
     col, row = np.rint(col), np.rint(row)
     inside = (col >= 0) & (col < dem.cols) & (row >= 0) & (row < dem.rows)
-    return list(zip(col[inside].astype(int).tolist(), row[inside].astype(int).tolist()))
+    return col[inside].astype(np.int64), row[inside].astype(np.int64)

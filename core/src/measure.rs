@@ -97,7 +97,7 @@ pub fn errors<T: Height>(
     if result.covered > 0 {
         let n = result.covered as f64;
         (result.rmse, result.mae, result.mean) = ((squares / n).sqrt(), sum / n, signed / n);
-        let index = ((result.covered - 1) as f64 * 0.95) as usize;
+        let index = (n * 0.95).ceil() as usize - 1;
         result.p95 = f64::from(*absolute.select_nth_unstable_by(index, f32::total_cmp).1);
     }
     Ok((result, largest))

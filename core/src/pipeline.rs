@@ -28,6 +28,8 @@ pub struct Options {
     /// New vertices at most in each scale.
     pub points_per_scale: usize,
     pub rule: Rule,
+    /// Whether a tolerance was asked for: 0 is one, too.
+    pub has_tolerance: bool,
     /// Also stop where more points would only fit the noise: when no residual on the
     /// smoothed image exceeds three standard deviations of the noise left in it.
     pub stop_at_noise: bool,
@@ -68,6 +70,9 @@ struct Images<'a, T: Height> {
     noise: f64,
 }
 
+/// Widest smoothing, in pixels: beyond it the convolution takes minutes.
+const MAX_SIGMA: f64 = 100.0;
+
 /// Squares and products of heights must not overflow.
 const MAX_HEIGHT: f64 = 1e100;
 
@@ -89,7 +94,7 @@ pub fn triangulate<T: Height>(
     let data = Grid::new(&data, grid.rows(), grid.cols())?;
 
     progress.stage("smooth")?;
-    let bounded = options.rule.tolerance > 0.0 && options.rule.bound == 1.0;
+    let bounded = options.has_tolerance && options.rule.bound == 1.0;
     let (mut scales, mut finest) = match &options.scales {
         // A bound on the error counts against the data, so nothing is smoothed away.
         Scales::Auto if bounded => (vec![[0.0; 2]], Cow::Borrowed(data.z())),
@@ -105,6 +110,7 @@ pub fn triangulate<T: Height>(
 
     let mut refiner = Refiner::new(mesh, &Grid::new(&finest, grid.rows(), grid.cols())?);
     refiner.insert(&options.initial, &Grid::new(&finest, grid.rows(), grid.cols())?);
+    let is_too_few = refiner.count() > options.max_points;
     let mut stop = Stop::Tolerance;
     for (i, &sigma) in scales.iter().enumerate() {
         if i > 0 {
@@ -134,9 +140,12 @@ pub fn triangulate<T: Height>(
     if bounded && (options.fit || options.flips > 0) {
         stop = restore_bound(&mut refiner, &data, options, progress)?;
     }
-    if stop == Stop::Tolerance && options.stop_at_noise {
-        stop = Stop::Noise;
-    }
+    stop = match stop {
+        _ if is_too_few => Stop::Outline,
+        Stop::Tolerance if options.stop_at_noise => Stop::Noise,
+        Stop::Tolerance if !options.has_tolerance => Stop::Exact,
+        stop => stop,
+    };
     let report = Report { stop, noise, spikes, scales, delaunay };
     Ok(Triangulation { mesh: refiner.mesh, z: refiner.z, report })
 }
@@ -158,8 +167,8 @@ fn validate<T: Height>(options: &Options, grid: &Grid<T>) -> Result<()> {
         return Err(Error::input("height-range", "heights beyond 1e100 are no terrain"));
     }
     if let Scales::Given(sigmas) = &options.scales {
-        if sigmas.is_empty() || !sigmas.iter().flatten().all(|s| (0.0..=1000.0).contains(s)) {
-            return bad("scales must be given and lie between 0 and 1000 pixels");
+        if sigmas.is_empty() || !sigmas.iter().flatten().all(|s| (0.0..=MAX_SIGMA).contains(s)) {
+            return bad("scales must be given and lie between 0 and 100 pixels");
         }
     }
     Ok(())

@@ -204,13 +204,15 @@ impl Mesh {
         check::check(&self.mesh, self.report.delaunay).map_err(PyRuntimeError::new_err)
     }
 
-    /// "points", "tolerance" or "noise".
+    /// "points", "tolerance", "noise", "exact" or "outline".
     #[getter]
     fn stop_reason(&self) -> &'static str {
         match self.report.stop {
             Stop::Points => "points",
             Stop::Tolerance => "tolerance",
             Stop::Noise => "noise",
+            Stop::Exact => "exact",
+            Stop::Outline => "outline",
         }
     }
 
@@ -258,7 +260,7 @@ fn triangulate(
     priority: f64,
     weight: f64,
     candidate: f64,
-    tolerance: f64,
+    tolerance: Option<f64>,
     bound: f64,
     stop_at_noise: bool,
     scales: Option<Vec<(f64, f64)>>,
@@ -271,7 +273,8 @@ fn triangulate(
     let options = Options {
         max_points: max_points.unwrap_or(usize::MAX),
         points_per_scale: points_per_scale.unwrap_or(usize::MAX),
-        rule: Rule { priority, weight, candidate, tolerance, bound },
+        rule: Rule { priority, weight, candidate, tolerance: tolerance.unwrap_or(0.0), bound },
+        has_tolerance: tolerance.is_some(),
         stop_at_noise,
         scales: scales.map_or(Scales::Auto, |s| Scales::Given(s.into_iter().map(|(x, y)| [x, y]).collect())),
         despike,

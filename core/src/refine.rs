@@ -39,6 +39,10 @@ pub enum Stop {
     Tolerance,
     /// What is left is noise.
     Noise,
+    /// Every pixel lies on the mesh: more points would change nothing.
+    Exact,
+    /// The outline of the data and the initial points are more than was asked for.
+    Outline,
 }
 
 /// Rasters up to this size are refined in the exact order of the priorities; larger

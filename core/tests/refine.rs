@@ -149,7 +149,7 @@ proptest! {
         for rule in [PAPER, MAX, AUTO] {
             let done = run(&z, rows, cols, &plain(rule, n)).unwrap();
             prop_assert_eq!(done.mesh.points().len(), n.min(rows * cols));
-            prop_assert_eq!(done.report.stop, if n <= rows * cols { Stop::Points } else { Stop::Tolerance });
+            prop_assert_eq!(done.report.stop, if n <= rows * cols { Stop::Points } else { Stop::Exact });
             assert_sound(&done.mesh, true);
         }
     }
@@ -214,6 +214,6 @@ fn points_beyond_what_the_outline_needs_are_not_added() {
     let grid = Grid::new(&z, 30, 30).unwrap();
     let outline = outlined(&grid, Metric::SQUARE).unwrap();
     assert_eq!(place_set(bare.mesh.points()), place_set(outline.points()));
-    assert_eq!(bare.report.stop, Stop::Points);
+    assert_eq!(bare.report.stop, Stop::Outline);
     assert_eq!(fingerprint(&bare), fingerprint(&run(&z, 30, 30, &plain(MAX, 4)).unwrap()));
 }

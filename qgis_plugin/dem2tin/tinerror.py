@@ -133,7 +133,7 @@ def statistics(errors, n_valid):
             tr("The TIN covers no valid pixel of the DEM; do both lie in the same place?")
         )
     absolute = np.abs(known)
-    index = int((known.size - 1) * 0.95)
+    index = int(np.ceil(known.size * 0.95)) - 1
     return {
         "RMSE": float(np.sqrt(np.mean(known * known))),
         "MAE": float(absolute.mean()),

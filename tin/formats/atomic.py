@@ -50,6 +50,13 @@ def atomic(target: Path, *, overwrite: bool = False, companions: Sequence[Path] 
 def refuse_existing(target: Path, companions: Sequence[Path], *, overwrite: bool) -> None:
     """Raise OutputError ``exists`` for a file in the way, unless it may be overwritten."""
     for path in (target, *companions):
+        try:
+            path.lstat()
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            message = f"{target}: not a name that can be written to: {error.strerror}"
+            raise OutputError("not-writable", message) from error
         if path.exists() and not path.is_file():
             raise OutputError("exists", f"{path}: exists and is not a file; choose another name")
         if path.exists() and not overwrite:

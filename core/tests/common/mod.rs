@@ -61,6 +61,7 @@ pub fn plain(rule: Rule, max_points: usize) -> Options {
         max_points,
         points_per_scale: usize::MAX,
         rule,
+        has_tolerance: rule.tolerance > 0.0,
         stop_at_noise: false,
         scales: Scales::Given(vec![[0.0; 2]]),
         despike: false,
