@@ -52,8 +52,8 @@ def refuse_existing(target: Path, companions: Sequence[Path], *, overwrite: bool
     for path in (target, *companions):
         try:
             path.lstat()
-        except FileNotFoundError:
-            continue
+        except (FileNotFoundError, NotADirectoryError):
+            continue  # what is wrong with the directory is found by trying
         except OSError as error:
             message = f"{target}: not a name that can be written to: {error.strerror}"
             raise OutputError("not-writable", message) from error
