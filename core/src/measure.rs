@@ -92,6 +92,7 @@ pub fn errors<T: Height>(
         result.max = result.max.max(*worst);
         progress.poll(2 * work, || f64::from(t) / mesh.triangles().len() as f64)?;
     }
+    progress.check(1.0)?;
     result.covered = absolute.len();
     result.uncovered = grid.count_valid() - result.covered;
     if result.covered > 0 {
@@ -99,6 +100,7 @@ pub fn errors<T: Height>(
         (result.rmse, result.mae, result.mean) = ((squares / n).sqrt(), sum / n, signed / n);
         let index = (n * 0.95).ceil() as usize - 1;
         result.p95 = f64::from(*absolute.select_nth_unstable_by(index, f32::total_cmp).1);
+        progress.check(1.0)?;
     }
     Ok((result, largest))
 }

@@ -43,6 +43,11 @@ impl<'a> Progress<'a> {
         self.call(fraction())
     }
 
+    /// Reports at once, between two long steps that cannot poll.
+    pub fn check(&mut self, fraction: f64) -> Result<()> {
+        self.call(fraction)
+    }
+
     fn call(&mut self, fraction: f64) -> Result<()> {
         self.last = Instant::now();
         if (self.report)(self.stage, fraction.clamp(0.0, 1.0)) {
