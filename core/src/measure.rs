@@ -64,6 +64,8 @@ pub fn errors<T: Height>(
     let mut seen = Visited::new(grid.z().len());
     let mut largest = vec![0.0f64; mesh.triangles().len()];
     let mut absolute: Vec<f32> = Vec::new();
+    // How many errors share the upper half of their bits, which sorts like the values.
+    let mut classes = vec![0usize; 1 << 16];
     let mut result = Errors::default();
     let (mut squares, mut sum, mut signed) = (0.0, 0.0, 0.0);
     for t in 0..mesh.triangles().len() as u32 {
@@ -82,7 +84,9 @@ pub fn errors<T: Height>(
                 squares += error * error;
                 sum += error.abs();
                 signed += error;
-                absolute.push(error.abs() as f32);
+                let error = error.abs() as f32;
+                absolute.push(error);
+                classes[(error.to_bits() >> 16) as usize] += 1;
             }
         });
         for_each_plane_row(p, heights, |row, first, end, _| {
@@ -98,7 +102,13 @@ pub fn errors<T: Height>(
     if result.covered > 0 {
         let n = result.covered as f64;
         (result.rmse, result.mae, result.mean) = ((squares / n).sqrt(), sum / n, signed / n);
-        let index = (n * 0.95).ceil() as usize - 1;
+        let mut index = (n * 0.95).ceil() as usize - 1;
+        let mut class = 0;
+        while index >= classes[class] {
+            index -= classes[class];
+            class += 1;
+        }
+        absolute.retain(|error| (error.to_bits() >> 16) as usize == class);
         result.p95 = f64::from(*absolute.select_nth_unstable_by(index, f32::total_cmp).1);
         progress.check(1.0)?;
     }
