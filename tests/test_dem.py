@@ -1,4 +1,5 @@
 import copy
+import importlib
 import json
 import math
 import pickle
@@ -315,8 +316,8 @@ ITS_OWN_WARNING = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDepre
 
 @pytest.fixture
 def array():
-    xarray = pytest.importorskip("xarray")
-    pytest.importorskip("rioxarray")
+    xarray = importlib.import_module("xarray")
+    importlib.import_module("rioxarray")
     coords = {"y": 5000 - 10.0 * np.arange(3), "x": 2000 + 10.0 * np.arange(4)}
     made = xarray.DataArray(GRID.astype(np.int16), dims=("y", "x"), coords=coords, name="relief")
     return made.rio.write_crs("EPSG:26710").rio.write_nodata(5)
