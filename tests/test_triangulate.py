@@ -279,14 +279,14 @@ def test_progress_names_stages_and_cancels_quickly():
         tin.triangulate(source, progress=watch)
     assert caught.value.code == "cancelled"
     assert time.perf_counter() - asked[0] < 0.2
-    assert stages[0] == "outline"
+    assert stages[0] == "despike"
 
 
 def test_an_exception_in_the_callback_comes_through():
     def fail(stage: str, fraction: float) -> bool:
         raise KeyError(stage)
 
-    with pytest.raises(KeyError, match="outline"):
+    with pytest.raises(KeyError, match="despike"):
         tin.triangulate(dem(), progress=fail)
 
 

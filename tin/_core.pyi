@@ -58,7 +58,14 @@ def triangulate(
     despike: bool,
     fit: bool,
     flips: int,
-    initial: list[tuple[int, int]],
+    outline_tolerance: float,
+    keep_isolated: bool,
+    sieve: int,
+    pixels: list[tuple[int, int]],
+    points: npt.NDArray[np.float64],
+    lines: list[npt.NDArray[np.float64]],
+    clip: list[list[npt.NDArray[np.float64]]] | None,
+    flat: list[tuple[list[npt.NDArray[np.float64]], float]],
     progress: Callable[[str, float], Any] | None = None,
 ) -> Mesh:
-    """Triangulates a raster; see tin.triangulate."""
+    """Triangulates a raster; see tin.triangulate. Vertices are (n, 3) column, row and height (NaN for none)."""

@@ -278,6 +278,32 @@ OPTIONS: tuple[Option, ...] = (
         metavar="K",
         advanced=True,
     ),
+    Option(
+        "outline_tolerance",
+        _distance,
+        "distance by which the outline of the data may take in void; data are never cut off",
+        default=Distance(1.0, in_pixels=True),
+        metavar="D",
+        unit="ground units of the CRS (metres where it is geographic), or pixels with the suffix px",
+        group="method",
+        advanced=True,
+    ),
+    Option(
+        "keep_isolated",
+        _switch,
+        "give single pixels and lines one pixel wide a small area, so that they are in the TIN",
+        default=False,
+        is_flag=True,
+        advanced=True,
+    ),
+    Option(
+        "sieve",
+        lambda value: _whole(value, 0, MAX_POINTS),
+        "leave out islands of fewer pixels, and fill holes of fewer",
+        default=0,
+        metavar="PIXELS",
+        advanced=True,
+    ),
     Option("band", lambda value: _whole(value, 1), "band to read", default=1, metavar="B", group="input"),
     Option(
         "z_factor",
@@ -373,4 +399,8 @@ def core_arguments(values: Mapping[str, Any], dem: DEM) -> dict[str, Any]:
         "despike": options["despike"],
         "fit": options["fit"],
         "flips": options["flips"],
+        # Along the shorter of a pixel's sides, so that it holds in every direction.
+        "outline_tolerance": min(options["outline_tolerance"].in_pixels_of(dem)),
+        "keep_isolated": options["keep_isolated"],
+        "sieve": options["sieve"],
     }

@@ -175,7 +175,15 @@ def triangulate(
     start = time.perf_counter()
     arguments = options.core_arguments(keywords, dem)
     core = _core.triangulate(
-        dem.z, dem.metric(), initial=_initial(dem, points), progress=progress, **arguments
+        dem.z,
+        dem.metric(),
+        pixels=_initial(dem, points),
+        points=np.empty((0, 3)),
+        lines=[],
+        clip=None,
+        flat=[],
+        progress=progress,
+        **arguments,
     )
     return Tin(core, dem, time.perf_counter() - start, progress)
 

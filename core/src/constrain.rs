@@ -1,21 +1,90 @@
-//! Segments as edges of the mesh: recovered by flips (Sloan 1993), then kept.
+//! Segments as edges of the mesh: recovered by flips (Sloan 1993), then kept. Where
+//! two of them cross, they meet in a vertex.
 
+use crate::locate::Location;
 use crate::mesh::{half_edge, next, prev, triangle_of, Mesh, NONE};
-use crate::predicate::orient2d;
-use std::collections::VecDeque;
+use crate::predicate::{orient2d, Point};
+use crate::surface::lerp;
+use std::collections::{HashMap, VecDeque};
 
-/// A segment cannot be recovered: it crosses the constrained edge `a`-`b`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Crossing {
-    pub a: u32,
-    pub b: u32,
+/// The region of the valid pixels, see [`Label::winding`].
+pub const OUTLINE: u32 = 0;
+
+/// What a segment stands for.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Label {
+    /// How often the border of each region runs along the segment less how often
+    /// against it; the region lies on the positive side.
+    pub winding: Vec<(u32, i32)>,
+    /// A breakline: an edge of the result wherever it runs.
+    pub is_line: bool,
+    /// The surface runs straight between its ends, which have fixed heights.
+    pub is_hard: bool,
 }
 
-/// Inserts segments between vertices of a mesh whose vertex set stays as it is.
+impl Label {
+    pub fn border(region: u32) -> Self {
+        Label { winding: vec![(region, 1)], ..Label::default() }
+    }
+
+    fn reversed(mut self) -> Self {
+        self.winding.iter_mut().for_each(|(_, count)| *count = -*count);
+        self
+    }
+
+    fn merge(&mut self, other: Label) {
+        for (region, count) in other.winding {
+            match self.winding.iter_mut().find(|w| w.0 == region) {
+                Some(w) => w.1 += count,
+                None => self.winding.push((region, count)),
+            }
+        }
+        self.is_line |= other.is_line;
+        self.is_hard |= other.is_hard;
+    }
+}
+
+/// The labels of the constrained edges, by their ends in ascending order.
+#[derive(Default)]
+pub struct Labels(HashMap<(u32, u32), Label>);
+
+impl Labels {
+    /// The label of the edge as seen from `a`.
+    pub fn get(&self, a: u32, b: u32) -> Option<Label> {
+        self.0.get(&(a.min(b), a.max(b))).map(|label| towards(a < b, label.clone()))
+    }
+
+    fn merge(&mut self, a: u32, b: u32, label: Label) {
+        self.0.entry((a.min(b), a.max(b))).or_default().merge(towards(a < b, label));
+    }
+
+    fn remove(&mut self, a: u32, b: u32) -> Option<Label> {
+        self.0.remove(&(a.min(b), a.max(b))).map(|label| towards(a < b, label))
+    }
+}
+
+/// 1 if the outline runs along the segment, -1 if against it, 0 if it does not.
+fn runs_along_outline(label: &Label) -> i64 {
+    label.winding.iter().find(|w| w.0 == OUTLINE).map_or(0, |w| i64::from(w.1.signum()))
+}
+
+fn towards(is_ascending: bool, label: Label) -> Label {
+    if is_ascending {
+        label
+    } else {
+        label.reversed()
+    }
+}
+
+/// Inserts segments between vertices of a mesh.
 pub struct Constrainer<'m> {
     mesh: &'m mut Mesh,
     /// A half-edge leaving each vertex.
     leaving: Vec<u32>,
+    labels: Labels,
+    /// Height that each vertex has to keep; NaN where it is free.
+    fixed: Vec<f64>,
+    touched: Vec<u32>,
 }
 
 /// What lies ahead of a vertex in the direction of another.
@@ -26,15 +95,44 @@ enum Ahead {
     Through(u32),
 }
 
+/// How a segment goes on from its start.
+enum Step {
+    /// To this vertex by an edge.
+    To(u32),
+    /// By way of this vertex, which is as good as on it.
+    Via(u32),
+    /// Across the constrained half-edge (right to left).
+    Across(u32),
+}
+
+struct Segment {
+    a: u32,
+    b: u32,
+    label: Label,
+}
+
 impl<'m> Constrainer<'m> {
-    pub fn new(mesh: &'m mut Mesh) -> Self {
-        let mut leaving = vec![NONE; mesh.points().len()];
-        for (t, triangle) in mesh.triangles().iter().enumerate() {
-            for (k, &v) in triangle.v.iter().enumerate() {
-                leaving[v as usize] = half_edge(t as u32, k as u32);
-            }
+    /// `fixed`: the height that each vertex has to keep, NaN where it is free.
+    pub fn new(mesh: &'m mut Mesh, fixed: Vec<f64>) -> Self {
+        let leaving = vec![NONE; mesh.points().len()];
+        let mut touched = Vec::new();
+        mesh.take_touched(&mut touched);
+        let mut made = Constrainer { mesh, leaving, labels: Labels::default(), fixed, touched };
+        for t in 0..made.mesh.triangles().len() as u32 {
+            made.note_leaving(t);
         }
-        Constrainer { mesh, leaving }
+        made
+    }
+
+    /// The labels of the edges, and the heights that the vertices have to keep.
+    pub fn finish(self) -> (Labels, Vec<f64>) {
+        (self.labels, self.fixed)
+    }
+
+    fn note_leaving(&mut self, t: u32) {
+        for h in (0..3).map(|k| half_edge(t, k)) {
+            self.leaving[self.mesh.origin(h) as usize] = h;
+        }
     }
 
     /// The half-edge from `a` to `b`, if the mesh has that edge.
@@ -102,40 +200,98 @@ impl<'m> Constrainer<'m> {
     }
 
     /// Makes the segment from vertex `a` to vertex `b` an edge, or a chain of edges
-    /// through the vertices that lie on it; every part is constrained and reported
-    /// to `part(from, to)`.
-    pub fn insert(&mut self, a: u32, b: u32, mut part: impl FnMut(u32, u32)) -> Result<(), Crossing> {
-        let mut from = a;
-        while from != b {
-            let to = match self.ahead(from, b) {
-                Some(Ahead::Along(h)) => {
-                    self.mesh.set_constrained(h, true);
-                    if self.mesh.origin(h) == from {
-                        self.mesh.dest(h)
-                    } else {
-                        self.mesh.origin(h)
-                    }
-                }
-                Some(Ahead::Through(h)) => self.recover(from, b, h)?,
-                None => return Ok(()),
+    /// through the vertices that lie on it and new ones where it crosses other
+    /// constraints. A crossing is rounded to the lattice, which bends both; all but the
+    /// outline of the data also take in the vertices that they pass very closely, or
+    /// lines that are nearly the same would cross again and again.
+    pub fn insert(&mut self, a: u32, b: u32, label: Label) {
+        // This ends: a bend replaces two segments by pieces of which none is longer and
+        // those of at least one are shorter, and lengths on a lattice cannot fall forever.
+        let mut open = vec![Segment { a, b, label }];
+        while let Some(Segment { a, b, label }) = open.pop() {
+            if a == b {
+                continue;
+            }
+            let step = match self.ahead(a, b) {
+                Some(Ahead::Along(h)) if self.mesh.origin(h) == a => Step::To(self.mesh.dest(h)),
+                Some(Ahead::Along(h)) => Step::To(self.mesh.origin(h)),
+                Some(Ahead::Through(h)) => self.recover(a, b, h, runs_along_outline(&label) == 0),
+                None => continue,
             };
-            part(from, to);
-            from = to;
+            match step {
+                Step::To(to) => {
+                    if to != b {
+                        if label.is_hard {
+                            self.fix(to, [Some(self.height_along(a, b, to))]);
+                        }
+                        open.push(Segment { a: to, b, label: label.clone() });
+                    }
+                    self.mark(a, to, label);
+                }
+                Step::Via(v) => {
+                    if label.is_hard {
+                        self.fix(v, [Some(self.height_along(a, b, v))]);
+                    }
+                    open.push(Segment { a: v, b, label: label.clone() });
+                    open.push(Segment { a, b: v, label });
+                }
+                Step::Across(h) => self.cross(Segment { a, b, label }, h, &mut open),
+            }
         }
-        Ok(())
     }
 
-    /// Flips the edges between `a` and the next vertex on the way to `b`, which it returns.
-    fn recover(&mut self, a: u32, b: u32, first: u32) -> Result<u32, Crossing> {
+    /// Constrains edge `a`-`b`, which the mesh has.
+    fn mark(&mut self, a: u32, b: u32, label: Label) {
+        if let Some(h) = self.find_edge(a, b) {
+            if label.is_hard {
+                self.mesh.harden(h);
+            } else {
+                self.mesh.constrain(h);
+            }
+            self.labels.merge(a, b, label);
+        }
+    }
+
+    fn height_along(&self, a: u32, b: u32, v: u32) -> f64 {
+        let end = |v: u32| (self.mesh.point(v), self.fixed[v as usize]);
+        lerp(end(a), end(b), self.mesh.point(v))
+    }
+
+    /// Gives vertex `v`, if it is free, the mean of the heights.
+    fn fix<const N: usize>(&mut self, v: u32, heights: [Option<f64>; N]) {
+        let known = heights.iter().flatten().count();
+        if known > 0 && self.fixed[v as usize].is_nan() {
+            self.fixed[v as usize] = heights.iter().flatten().sum::<f64>() / known as f64;
+        }
+    }
+
+    /// Whether the segment passes vertex `v` closely enough to take it in: within 1.5
+    /// units, as far off as a rounded crossing may be.
+    fn is_beside(&self, a: u32, b: u32, v: u32) -> bool {
+        let [a, b, v] = [a, b, v].map(|v| self.mesh.point(v));
+        let square = |p: Point, q: Point| {
+            let (dx, dy) = (i64::from(q.x - p.x), i64::from(q.y - p.y));
+            i128::from(dx * dx + dy * dy)
+        };
+        let (off, whole) = (i128::from(orient2d(a, b, v)), square(a, b));
+        4 * off * off <= 9 * whole && square(a, v) < whole && square(v, b) < whole
+    }
+
+    /// Flips the edges between `a` and the next vertex on the way to `b`, unless a
+    /// constraint or (if `may_bend`) a vertex beside the segment is in the way.
+    fn recover(&mut self, a: u32, b: u32, first: u32, may_bend: bool) -> Step {
         let (pa, pb) = (self.mesh.point(a), self.mesh.point(b));
         let mut crossed = VecDeque::new();
         let mut h = first;
         let to = loop {
-            let (r, l) = (self.mesh.origin(h), self.mesh.dest(h));
-            if self.mesh.is_constrained(h) {
-                return Err(Crossing { a: r, b: l });
+            let ends = [self.mesh.origin(h), self.mesh.dest(h)];
+            if let Some(v) = ends.into_iter().find(|&v| may_bend && self.is_beside(a, b, v)) {
+                return Step::Via(v);
             }
-            crossed.push_back((r, l));
+            if self.mesh.is_constrained(h) {
+                return Step::Across(h);
+            }
+            crossed.push_back((ends[0], ends[1]));
             let g = self.mesh.twin(h);
             let d = self.mesh.apex(g);
             match orient2d(pa, pb, self.mesh.point(d)) {
@@ -162,10 +318,99 @@ impl<'m> Constrainer<'m> {
             }
         }
         if let Some(h) = self.find_edge(a, to) {
-            self.mesh.set_constrained(h, true);
+            self.mesh.constrain(h);
         }
         self.legalise(made);
-        Ok(to)
+        Step::To(to)
+    }
+
+    /// Lets the segment and the constrained half-edge `h` (right to left) meet in a
+    /// vertex; what is left to do of both goes to `open`.
+    fn cross(&mut self, segment: Segment, h: u32, open: &mut Vec<Segment>) {
+        let Segment { a, b, label } = segment;
+        let (r, l) = (self.mesh.origin(h), self.mesh.dest(h));
+        let other = self.labels.get(r, l).unwrap_or_default();
+        let p = self.meeting_point([a, b], &label, [r, l], &other);
+        let heights = [
+            label.is_hard.then(|| lerp(self.end(a), self.end(b), p)),
+            other.is_hard.then(|| lerp(self.end(r), self.end(l), p)),
+        ];
+        let v = self.insert_vertex(p, triangle_of(h), heights);
+        if v != r && v != l {
+            // Unless the vertex has split the edge exactly, the edge bends.
+            if let Some(other) = self.labels.remove(r, l) {
+                if let Some(h) = self.find_edge(r, l) {
+                    self.mesh.release(h);
+                }
+                open.push(Segment { a: v, b: l, label: other.clone() });
+                open.push(Segment { a: r, b: v, label: other });
+            }
+        }
+        open.push(Segment { a: v, b, label: label.clone() });
+        open.push(Segment { a, b: v, label });
+    }
+
+    fn end(&self, v: u32) -> (Point, f64) {
+        (self.mesh.point(v), self.fixed[v as usize])
+    }
+
+    /// The corner of the lattice cell around the exact crossing that is nearest to it,
+    /// but where the outline of the data is concerned not on its inner side: bent
+    /// inwards it would lose the pixels that lie on it.
+    fn meeting_point(&self, ab: [u32; 2], label: &Label, rl: [u32; 2], other: &Label) -> Point {
+        let [a, b] = ab.map(|v| self.mesh.point(v));
+        let [r, l] = rl.map(|v| self.mesh.point(v));
+        let (right, left) = (orient2d(a, b, r), orient2d(a, b, l));
+        let (share, whole) = (i128::from(-right), i128::from(left - right));
+        let along = |r: i32, l: i32| i128::from(r) * whole + i128::from(l - r) * share;
+        let (x, y) = (along(r.x, l.x), along(r.y, l.y));
+        let both = |v: i128| [v.div_euclid(whole), v.div_euclid(whole) + i128::from(v.rem_euclid(whole) > 0)];
+        let inner = |p: Point, a: Point, b: Point, label: &Label| {
+            i32::from(runs_along_outline(label) * orient2d(a, b, p).signum() > 0)
+        };
+        let rank = |p: Point| {
+            let (dx, dy) = (i128::from(p.x) * whole - x, i128::from(p.y) * whole - y);
+            (inner(p, a, b, label) + inner(p, r, l, other), dx * dx + dy * dy, p)
+        };
+        let [x0, x1] = both(x);
+        let [y0, y1] = both(y);
+        [(x0, y0), (x1, y0), (x0, y1), (x1, y1)]
+            .map(|(x, y)| Point { x: x as i32, y: y as i32 })
+            .into_iter()
+            .min_by_key(|&p| rank(p))
+            .unwrap_or(r)
+    }
+
+    /// The vertex at `p`, a new one if there is none; a constrained edge that it falls
+    /// on is split with its label. If it is free it gets the mean of the `heights`.
+    fn insert_vertex(&mut self, p: Point, start: u32, heights: [Option<f64>; 2]) -> u32 {
+        let place = self.mesh.locate(p, start);
+        let split = match place {
+            Location::Vertex(v) => {
+                self.fix(v, heights);
+                return v;
+            }
+            Location::Edge(h) => Some((self.mesh.origin(h), self.mesh.dest(h))),
+            Location::Face(_) => None,
+        };
+        let v = self.mesh.insert_at(p, place);
+        self.leaving.push(NONE);
+        self.fixed.push(f64::NAN);
+        let mut touched = std::mem::take(&mut self.touched);
+        self.mesh.take_touched(&mut touched);
+        touched.iter().for_each(|&t| self.note_leaving(t));
+        self.touched = touched;
+        self.fix(v, heights);
+        if let Some((a, b)) = split {
+            if let Some(label) = self.labels.remove(a, b) {
+                if label.is_hard {
+                    self.fix(v, [Some(self.height_along(a, b, v))]);
+                }
+                self.labels.merge(a, v, label.clone());
+                self.labels.merge(v, b, label);
+            }
+        }
+        v
     }
 
     /// Flips edge `h` and returns the ends of the new edge.
@@ -173,12 +418,8 @@ impl<'m> Constrainer<'m> {
         let (t, u) = (triangle_of(h), triangle_of(self.mesh.twin(h)));
         let ends = (self.mesh.apex(h), self.mesh.apex(self.mesh.twin(h)));
         self.mesh.flip(h);
-        for t in [t, u] {
-            for k in 0..3 {
-                let h = half_edge(t, k);
-                self.leaving[self.mesh.origin(h) as usize] = h;
-            }
-        }
+        self.note_leaving(t);
+        self.note_leaving(u);
         ends
     }
 

@@ -6,6 +6,7 @@ use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
 use crate::predicate::Point;
 use crate::progress::Progress;
 use crate::scan::{for_each_pixel, Corners};
+use crate::surface::Surface;
 
 /// Conjugate gradients stop when the residual has fallen by this factor.
 const REDUCTION: f64 = 1e-4;
@@ -37,20 +38,20 @@ struct Normal<'m> {
     mesh: &'m Mesh,
     /// (00, 01, 02, 11, 12, 22) of each triangle.
     blocks: Vec<[f64; 6]>,
-    /// Inverse diagonal, 0 for vertices without pixels.
+    /// Inverse diagonal, 0 for vertices that stay as they are: fixed or without pixels.
     inverse: Vec<f64>,
 }
 
 impl<'m> Normal<'m> {
     /// The matrix, and one right-hand side for each of the `K` values a pixel has.
-    /// `value(pixel, height, plane)`: `plane` is that of the heights `z`.
+    /// `value(pixel, height, plane)`: `plane` is the height of the surface.
     fn assemble<T: Height, const K: usize>(
-        mesh: &'m Mesh,
-        z: &[f64],
+        surface: &'m Surface,
         grid: &Grid<T>,
         progress: &mut Progress,
         value: impl Fn(usize, f64, f64) -> [f64; K],
     ) -> Result<(Self, [Vec<f64>; K])> {
+        let (mesh, z) = (&surface.mesh, &surface.z);
         let mut seen = Visited::new(grid.z().len());
         let mut blocks = vec![[0.0; 6]; mesh.triangles().len()];
         let mut sides: [Vec<f64>; K] = std::array::from_fn(|_| vec![0.0; z.len()]);
@@ -94,8 +95,8 @@ impl<'m> Normal<'m> {
             }
             progress.poll(work, || t as f64 / count as f64)?;
         }
-        for d in &mut inverse {
-            *d = if *d > 0.0 { 1.0 / *d } else { 0.0 };
+        for (d, is_fixed) in inverse.iter_mut().zip(&surface.is_fixed) {
+            *d = if *d > 0.0 && !is_fixed { 1.0 / *d } else { 0.0 };
         }
         Ok((Normal { mesh, blocks, inverse }, sides))
     }
@@ -143,21 +144,24 @@ impl<'m> Normal<'m> {
     }
 }
 
-/// Moves the heights `z` of the vertices to those of the continuous, piecewise
-/// linear surface over `mesh` with the least sum of squared differences from the
-/// pixels of `target`.
+/// Moves the free vertices to the heights with the least sum of squared differences
+/// between the surface and the pixels of `target`.
 pub fn fit_heights<T: Height>(
-    mesh: &Mesh,
-    z: &mut [f64],
+    surface: &mut Surface,
     target: &Grid<T>,
     progress: &mut Progress,
 ) -> Result<()> {
     let (normal, [residual]) =
-        Normal::assemble(mesh, z, target, progress, |_, height, plane| [height - plane])?;
-    for (z, change) in z.iter_mut().zip(normal.solve(residual, progress)?) {
+        Normal::assemble(surface, target, progress, |_, height, plane| [height - plane])?;
+    let changes = normal.solve(residual, progress)?;
+    add(&mut surface.z, &changes);
+    Ok(())
+}
+
+fn add(z: &mut [f64], changes: &[f64]) {
+    for (z, change) in z.iter_mut().zip(changes) {
         *z += change;
     }
-    Ok(())
 }
 
 /// Images that decide how far the fit should follow the smoothed one.
@@ -174,14 +178,14 @@ pub struct Blend<'a, T> {
 impl<T: Height> Blend<'_, T> {
     /// Fits the heights to the data and the smoothed image, mixed so that the
     /// unbiased estimate of the risk (Stein 1981) is least; returns the share s of the
-    /// smoothed image. With P the projection onto the surfaces over `mesh`, G the
+    /// smoothed image. With P the projection onto the surfaces over the mesh, G the
     /// smoothing and y the data, the fit is P (y - s (y - G y)), and the risk is least
     /// at s = noise^2 tr(P (I - G)) / |P (I - G) y|^2, the trace estimated as
     /// p' P (I - G) p with the probe p (Hutchinson 1989) and charged at the cost of
     /// knots.
-    pub fn fit(&self, mesh: &Mesh, z: &mut [f64], progress: &mut Progress) -> Result<f64> {
+    pub fn fit(&self, surface: &mut Surface, progress: &mut Progress) -> Result<f64> {
         let (normal, [mut residual, removed, probe, removed_probe]) =
-            Normal::assemble(mesh, z, &self.data, progress, |i, height, plane| {
+            Normal::assemble(surface, &self.data, progress, |i, height, plane| {
                 let probe = self.probe[i].to_f64();
                 let removed = height - self.smooth[i].to_f64();
                 [height - plane, removed, probe, probe - self.smooth_probe[i].to_f64()]
@@ -193,9 +197,8 @@ impl<T: Height> Blend<'_, T> {
         for (residual, removed) in residual.iter_mut().zip(removed) {
             *residual -= share * removed;
         }
-        for (z, change) in z.iter_mut().zip(normal.solve(residual, progress)?) {
-            *z += change;
-        }
+        let changes = normal.solve(residual, progress)?;
+        add(&mut surface.z, &changes);
         Ok(share)
     }
 }
@@ -243,11 +246,11 @@ fn squared_error<T: Height>(target: &Grid<T>, p: [Point; 3], z: [f64; 3]) -> (f6
 /// of squared errors against `target`. Returns the number of flips; the mesh is
 /// then no longer Delaunay.
 pub fn flip_pass<T: Height>(
-    mesh: &mut Mesh,
-    z: &[f64],
+    surface: &mut Surface,
     target: &Grid<T>,
     progress: &mut Progress,
 ) -> Result<usize> {
+    let Surface { mesh, z, .. } = surface;
     let count = mesh.triangles().len() as u32;
     let height = |v: [u32; 3]| v.map(|v| z[v as usize]);
     let mut errors = vec![f64::NAN; count as usize];

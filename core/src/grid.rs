@@ -1,7 +1,7 @@
 //! The raster of heights the core works on: row-major, NaN where void.
 
 use crate::error::{Error, Result};
-use crate::predicate::MAX_SIDE;
+use crate::predicate::{Point, MAX_SIDE, SUB_BITS, UNIT};
 
 /// A sample type of the raster; arithmetic is always done in `f64`.
 pub trait Height: Copy + Send + Sync + 'static {
@@ -78,6 +78,49 @@ impl<'a, T: Height> Grid<'a, T> {
     #[inline(always)]
     pub fn at(&self, col: usize, row: usize) -> f64 {
         self.z[row * self.cols + col].to_f64()
+    }
+
+    /// Height at a lattice point: bilinear between the valid ones of the pixels around
+    /// it, or that of the nearest valid pixel where these are all void.
+    pub fn interpolate(&self, p: Point) -> f64 {
+        let (col, row) = ((p.x >> SUB_BITS) as usize, (p.y >> SUB_BITS) as usize);
+        let fraction = |v: i32| f64::from(v & (UNIT - 1)) / f64::from(UNIT);
+        let (x, y) = (fraction(p.x), fraction(p.y));
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for (dx, dy, weight) in
+            [(0, 0, (1.0 - x) * (1.0 - y)), (1, 0, x * (1.0 - y)), (0, 1, (1.0 - x) * y), (1, 1, x * y)]
+        {
+            if weight > 0.0 && self.is_valid(col + dx, row + dy) {
+                sum += weight * self.at(col + dx, row + dy);
+                weights += weight;
+            }
+        }
+        if weights > 0.0 {
+            sum / weights
+        } else {
+            self.nearest(col, row)
+        }
+    }
+
+    /// Height of the valid pixel nearest to a void one, searched in growing squares;
+    /// NaN if there is none.
+    fn nearest(&self, col: usize, row: usize) -> f64 {
+        for reach in 1..self.cols.max(self.rows) {
+            let (left, right) = (col.saturating_sub(reach), (col + reach).min(self.cols - 1));
+            let (top, bottom) = (row.saturating_sub(reach), (row + reach).min(self.rows - 1));
+            let found = (top..=bottom)
+                .flat_map(|r| {
+                    // Inner rows of the square: its two ends only.
+                    let step = if r == top || r == bottom { 1 } else { (right - left).max(1) };
+                    (left..=right).step_by(step).map(move |c| (c, r))
+                })
+                .filter(|&(c, r)| self.is_valid(c, r))
+                .min_by_key(|&(c, r)| (c.abs_diff(col).pow(2) + r.abs_diff(row).pow(2), r, c));
+            if let Some((c, r)) = found {
+                return self.at(c, r);
+            }
+        }
+        f64::NAN
     }
 
     pub fn is_valid(&self, col: usize, row: usize) -> bool {

@@ -8,9 +8,12 @@
 
 pub mod check;
 pub mod constrain;
+pub mod crop;
+pub mod domain;
 pub mod error;
 pub mod fit;
 pub mod grid;
+pub mod locate;
 pub mod measure;
 pub mod mesh;
 pub mod order;
@@ -24,3 +27,6 @@ pub mod queue;
 pub mod refine;
 pub mod scale;
 pub mod scan;
+pub mod sieve;
+pub mod simplify;
+pub mod surface;

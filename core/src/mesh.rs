@@ -5,48 +5,76 @@
 //! are positively oriented in (x, y). The mesh knows points and the metric, never
 //! heights. A constrained edge is never flipped, only split.
 
+use crate::locate::Location;
 use crate::predicate::{orient2d, Metric, Point};
 
 /// "No half-edge": the twin of an edge of the rectangle's border.
 pub const NONE: u32 = u32::MAX;
-const VOID: u32 = 1 << 3;
+
+// Bits of a triangle's flags: for edge k, constrained at k and hard at k + 3.
+const CONSTRAINED: u32 = 1;
+const HARD: u32 = 1 << 3;
+const EDGE: u32 = CONSTRAINED | HARD;
+const VOID: u32 = 1 << 6;
+const FLAT: u32 = 1 << 7;
+const CLASS: u32 = VOID | FLAT;
+
+/// What a triangle covers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Class {
+    /// Terrain, to be refined.
+    Data,
+    /// A part of the data that is kept level.
+    Flat,
+    /// No data: in no output.
+    Void,
+}
 
 /// One triangle and its three half-edges.
 #[derive(Clone, Copy, Debug)]
 pub struct Triangle {
     pub v: [u32; 3],
     pub twin: [u32; 3],
-    /// Bits 0-2: edge k is constrained; bit 3: the triangle covers void.
     flags: u32,
     /// Counts the changes of the triangle, so that queue entries can grow stale.
     pub version: u32,
 }
 
 impl Triangle {
-    fn new(v: [u32; 3], void: u32) -> Self {
-        Triangle { v, twin: [NONE; 3], flags: void, version: 0 }
+    fn new(v: [u32; 3], class: u32) -> Self {
+        Triangle { v, twin: [NONE; 3], flags: class, version: 0 }
     }
 
     pub fn is_void(&self) -> bool {
         self.flags & VOID != 0
     }
 
+    pub fn class(&self) -> Class {
+        match self.flags & CLASS {
+            0 => Class::Data,
+            FLAT => Class::Flat,
+            _ => Class::Void,
+        }
+    }
+
     pub fn is_constrained(&self, k: usize) -> bool {
-        self.flags >> k & 1 != 0
+        self.flags >> k & CONSTRAINED != 0
+    }
+
+    /// Whether the surface along edge k is fixed: it runs straight between vertices of
+    /// fixed height, whatever the data are there.
+    pub fn is_hard(&self, k: usize) -> bool {
+        self.flags >> k & HARD != 0
+    }
+
+    pub fn has_hard_edge(&self) -> bool {
+        self.flags & (HARD | HARD << 1 | HARD << 2) != 0
     }
 
     /// The same triangle in a mesh with other numbers.
     pub(crate) fn renumbered(&self, vertex: impl FnMut(u32) -> u32, twin: impl FnMut(u32) -> u32) -> Self {
         Triangle { v: self.v.map(vertex), twin: self.twin.map(twin), ..*self }
     }
-}
-
-/// Where a point fell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Location {
-    Face(u32),
-    Edge(u32),
-    Vertex(u32),
 }
 
 #[inline]
@@ -77,6 +105,7 @@ pub fn triangle_of(h: u32) -> u32 {
     h >> 2
 }
 
+#[derive(Clone)]
 pub struct Mesh {
     points: Vec<Point>,
     triangles: Vec<Triangle>,
@@ -159,20 +188,45 @@ impl Mesh {
         self.triangle(triangle_of(h)).is_constrained((h & 3) as usize)
     }
 
-    /// Marks or releases the edge on both sides.
-    pub fn set_constrained(&mut self, h: u32, on: bool) {
-        for side in [h, self.twin(h)] {
-            if side != NONE {
-                let flags = &mut self.triangles[triangle_of(side) as usize].flags;
-                let bit = 1 << (side & 3);
-                *flags = if on { *flags | bit } else { *flags & !bit };
-            }
+    pub fn is_hard(&self, h: u32) -> bool {
+        self.triangle(triangle_of(h)).is_hard((h & 3) as usize)
+    }
+
+    /// Marks the edge as a constraint on both sides.
+    pub fn constrain(&mut self, h: u32) {
+        self.mark(h, CONSTRAINED);
+    }
+
+    /// As [`Mesh::constrain`], and fixes the surface along the edge.
+    pub fn harden(&mut self, h: u32) {
+        self.mark(h, EDGE);
+    }
+
+    /// Makes the edge an ordinary one.
+    pub fn release(&mut self, h: u32) {
+        for side in self.sides(h) {
+            self.triangles[triangle_of(side) as usize].flags &= !(EDGE << (side & 3));
         }
     }
 
-    pub fn set_void(&mut self, t: u32, on: bool) {
+    fn mark(&mut self, h: u32, bits: u32) {
+        for side in self.sides(h) {
+            self.triangles[triangle_of(side) as usize].flags |= bits << (side & 3);
+        }
+    }
+
+    fn sides(&self, h: u32) -> impl Iterator<Item = u32> {
+        [h, self.twin(h)].into_iter().filter(|&side| side != NONE)
+    }
+
+    pub fn set_class(&mut self, t: u32, class: Class) {
         let flags = &mut self.triangles[t as usize].flags;
-        *flags = if on { *flags | VOID } else { *flags & !VOID };
+        let bits = match class {
+            Class::Data => 0,
+            Class::Flat => FLAT,
+            Class::Void => VOID,
+        };
+        *flags = *flags & !CLASS | bits;
     }
 
     /// Triangles changed since the last call, each once, ascending; their
@@ -188,70 +242,11 @@ impl Mesh {
         }
     }
 
-    /// Walks from triangle `start` to the place of `p`, which lies in the rectangle.
-    pub fn locate(&self, p: Point, start: u32) -> Location {
-        let mut t = start;
-        // Changing the first edge looked at keeps the walk from cycling in a
-        // constrained (not Delaunay) triangulation.
-        let mut turn: u32 = 0;
-        'walk: loop {
-            let corner = self.corners(t);
-            turn = turn.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            let first = (turn >> 16) % 3;
-            let mut on_edge = [false; 3];
-            for i in 0..3 {
-                let k = ((first + i) % 3) as usize;
-                let side = orient2d(corner[k], corner[(k + 1) % 3], p);
-                let twin = self.triangle(t).twin[k];
-                if side < 0 && twin != NONE {
-                    t = triangle_of(twin);
-                    continue 'walk;
-                }
-                on_edge[k] = side == 0;
-            }
-            return self.place(t, on_edge);
-        }
-    }
-
-    /// The place of `p` in triangle `t`, which holds it.
-    fn place_in(&self, p: Point, t: u32) -> Location {
-        let c = self.corners(t);
-        self.place(t, [0, 1, 2].map(|k| orient2d(c[k], c[(k + 1) % 3], p) == 0))
-    }
-
-    fn place(&self, t: u32, on_edge: [bool; 3]) -> Location {
-        match on_edge {
-            [true, true, _] => Location::Vertex(self.triangle(t).v[1]),
-            [_, true, true] => Location::Vertex(self.triangle(t).v[2]),
-            [true, _, true] => Location::Vertex(self.triangle(t).v[0]),
-            [true, _, _] => Location::Edge(half_edge(t, 0)),
-            [_, true, _] => Location::Edge(half_edge(t, 1)),
-            [_, _, true] => Location::Edge(half_edge(t, 2)),
-            _ => Location::Face(t),
-        }
-    }
-
-    /// Inserts `p`, which lies in triangle `t`, and restores the Delaunay property.
-    /// Returns the vertex: a new one, or the one that already stands there.
-    pub fn insert_in(&mut self, p: Point, t: u32) -> u32 {
-        let place = self.place_in(p, t);
-        self.insert_at(p, place)
-    }
-
-    /// Inserts `p` anywhere in the rectangle, walking from triangle `start`.
+    /// Inserts `p` anywhere in the rectangle, walking from triangle `start`, and restores
+    /// the Delaunay property. Returns the vertex: a new one, or the one that stands there.
     pub fn insert(&mut self, p: Point, start: u32) -> u32 {
         let place = self.locate(p, start);
         self.insert_at(p, place)
-    }
-
-    /// Whether a vertex at `place` would belong to a triangle of data.
-    pub fn is_in_data(&self, place: Location) -> bool {
-        let is_data = |h: u32| h != NONE && !self.triangle(triangle_of(h)).is_void();
-        match place {
-            Location::Face(t) => is_data(half_edge(t, 0)),
-            Location::Edge(h) => is_data(h) || is_data(self.twin(h)),
-            Location::Vertex(_) => true,
-        }
     }
 
     /// Inserts `p`, whose place has been found.
@@ -281,35 +276,39 @@ impl Mesh {
         }
     }
 
-    /// Gives edge `h` the outer neighbour and the constraint it has to take over.
-    fn attach(&mut self, h: u32, (twin, constrained): (u32, bool)) {
+    /// Gives edge `h` the outer neighbour and the marks it has to take over.
+    fn attach(&mut self, h: u32, (twin, marks): (u32, u32)) {
         self.link(h, twin);
-        self.triangles[triangle_of(h) as usize].flags |= u32::from(constrained) << (h & 3);
+        self.triangles[triangle_of(h) as usize].flags |= marks << (h & 3);
     }
 
-    fn outer(&self, h: u32) -> (u32, bool) {
-        (self.twin(h), self.is_constrained(h))
+    fn outer(&self, h: u32) -> (u32, u32) {
+        (self.twin(h), self.marks(h))
     }
 
-    fn push_triangle(&mut self, v: [u32; 3], void: u32) -> u32 {
-        self.triangles.push(Triangle::new(v, void));
+    fn marks(&self, h: u32) -> u32 {
+        self.triangle(triangle_of(h)).flags >> (h & 3) & EDGE
+    }
+
+    fn push_triangle(&mut self, v: [u32; 3], class: u32) -> u32 {
+        self.triangles.push(Triangle::new(v, class));
         self.triangles.len() as u32 - 1
     }
 
     fn reset_triangle(&mut self, t: u32, v: [u32; 3]) {
         let triangle = &mut self.triangles[t as usize];
         triangle.v = v;
-        triangle.flags &= VOID;
+        triangle.flags &= CLASS;
     }
 
     /// Triangle (a, b, c) becomes (a, b, p), (b, c, p), (c, a, p).
     fn split_face(&mut self, t: u32, p: u32) {
         let [a, b, c] = self.triangle(t).v;
         let outer = [0, 1, 2].map(|k| self.outer(half_edge(t, k)));
-        let void = self.triangle(t).flags & VOID;
+        let class = self.triangle(t).flags & CLASS;
         self.reset_triangle(t, [a, b, p]);
-        let t1 = self.push_triangle([b, c, p], void);
-        let t2 = self.push_triangle([c, a, p], void);
+        let t1 = self.push_triangle([b, c, p], class);
+        let t2 = self.push_triangle([c, a, p], class);
         for (new, outer) in [t, t1, t2].into_iter().zip(outer) {
             self.attach(half_edge(new, 0), outer);
             self.pending.push(half_edge(new, 0));
@@ -326,10 +325,10 @@ impl Mesh {
         let t = triangle_of(h);
         let (a, b, c) = (self.origin(h), self.dest(h), self.apex(h));
         let (bc, ca) = (self.outer(next(h)), self.outer(prev(h)));
-        let constrained = self.is_constrained(h);
-        let void = self.triangle(t).flags & VOID;
+        let marks = self.marks(h);
+        let class = self.triangle(t).flags & CLASS;
         self.reset_triangle(t, [c, a, p]);
-        let t1 = self.push_triangle([b, c, p], void);
+        let t1 = self.push_triangle([b, c, p], class);
         for (new, outer) in [(t, ca), (t1, bc)] {
             self.attach(half_edge(new, 0), outer);
             self.pending.push(half_edge(new, 0));
@@ -337,8 +336,8 @@ impl Mesh {
         }
         self.link(half_edge(t, 2), half_edge(t1, 1));
         let halves = (half_edge(t, 1), half_edge(t1, 2));
-        self.attach(halves.0, (NONE, constrained));
-        self.attach(halves.1, (NONE, constrained));
+        self.attach(halves.0, (NONE, marks));
+        self.attach(halves.1, (NONE, marks));
         halves
     }
 
@@ -362,6 +361,20 @@ impl Mesh {
         self.metric.in_circle(a, b, c, self.point(self.apex(twin)))
     }
 
+    /// Flips until every edge that is not constrained is Delaunay.
+    pub fn make_delaunay(&mut self) {
+        let mut open: Vec<u32> =
+            (0..self.triangles.len() as u32).flat_map(|t| [0, 1, 2].map(|k| half_edge(t, k))).collect();
+        while let Some(h) = open.pop() {
+            if self.is_illegal(h) {
+                let pair = [triangle_of(h), triangle_of(self.twin(h))];
+                self.flip(h);
+                open.extend(pair.into_iter().flat_map(|t| [0, 1, 2].map(|k| half_edge(t, k))));
+            }
+        }
+    }
+
+    /// Restores the Delaunay property around a vertex just inserted.
     fn legalise(&mut self) {
         while let Some(h) = self.pending.pop() {
             if self.is_illegal(h) {

@@ -2,9 +2,10 @@
 //! memory, which the passes over all triangles repay several times.
 
 use crate::error::Result;
-use crate::mesh::{half_edge, triangle_of, Mesh, Triangle, NONE};
+use crate::mesh::{half_edge, triangle_of, Triangle, NONE};
 use crate::predicate::{Point, SUB_BITS};
 use crate::progress::Progress;
+use crate::surface::Surface;
 use std::cmp::Reverse;
 
 /// Position of a pixel along the Z-order curve.
@@ -54,9 +55,10 @@ pub fn scramble(i: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-/// Sorts the triangles along the curve, and the vertices and their heights `z` by the
-/// first triangle that uses them.
-pub fn by_place(mesh: &mut Mesh, z: &mut Vec<f64>, progress: &mut Progress) -> Result<()> {
+/// Sorts the triangles along the curve, and the vertices by the first triangle that
+/// uses them.
+pub fn by_place(surface: &mut Surface, progress: &mut Progress) -> Result<()> {
+    let mesh = &surface.mesh;
     let count = mesh.triangles().len() as u32;
     let mut order: Vec<(u64, u32)> = (0..count).map(|t| (place_of(mesh.corners(t)), t)).collect();
     progress.stage("order")?;
@@ -66,14 +68,14 @@ pub fn by_place(mesh: &mut Mesh, z: &mut Vec<f64>, progress: &mut Progress) -> R
     for (new, &(_, old)) in order.iter().enumerate() {
         new_triangle[old as usize] = new as u32;
     }
-    let mut new_vertex = vec![NONE; z.len()];
-    let (mut points, mut heights) = (Vec::with_capacity(z.len()), Vec::with_capacity(z.len()));
+    let vertices = mesh.points().len();
+    let mut new_vertex = vec![NONE; vertices];
+    let mut old_vertex: Vec<u32> = Vec::with_capacity(vertices);
     let mut renumber = |v: u32| {
         let number = &mut new_vertex[v as usize];
         if *number == NONE {
-            *number = points.len() as u32;
-            points.push(mesh.point(v));
-            heights.push(z[v as usize]);
+            *number = old_vertex.len() as u32;
+            old_vertex.push(v);
         }
         *number
     };
@@ -89,7 +91,9 @@ pub fn by_place(mesh: &mut Mesh, z: &mut Vec<f64>, progress: &mut Progress) -> R
         triangles.push(mesh.triangle(old).renumbered(&mut renumber, move_twin));
         progress.poll(16, || triangles.len() as f64 / order.len() as f64)?;
     }
-    mesh.replace(points, triangles);
-    *z = heights;
+    let points = old_vertex.iter().map(|&v| mesh.point(v)).collect();
+    surface.z = old_vertex.iter().map(|&v| surface.z[v as usize]).collect();
+    surface.is_fixed = old_vertex.iter().map(|&v| surface.is_fixed[v as usize]).collect();
+    surface.mesh.replace(points, triangles);
     Ok(())
 }

@@ -5,18 +5,92 @@
 //! centres, is planar by construction, and becomes constrained edges of the mesh;
 //! triangles beyond it are void.
 
-use crate::constrain::Constrainer;
 use crate::error::{Error, Result};
 use crate::grid::{Grid, Height};
-use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
-use crate::order::insertion_order;
-use crate::predicate::{Metric, Point};
+use crate::predicate::{Point, UNIT};
 use crate::progress::Progress;
-use std::collections::HashMap;
+use crate::sieve::sieve;
+use crate::simplify::{simplify, Chain};
 
-/// A directed polyline of pixel centres (column, row), data on its positive side;
-/// closed if it ends where it starts.
-pub type Chain = Vec<(i32, i32)>;
+/// What counts as data, and how closely its border is followed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shape {
+    /// Distance in pixels by which the outline may take in void.
+    pub tolerance: f64,
+    /// Whether valid pixels that span no area (single ones and lines of one pixel's
+    /// width) get a small area of their own.
+    pub keep_isolated: bool,
+    /// Islands and holes of fewer pixels are left out.
+    pub sieve: usize,
+}
+
+impl Default for Shape {
+    fn default() -> Self {
+        Shape { tolerance: 1.0, keep_isolated: false, sieve: 0 }
+    }
+}
+
+/// The border of the data as directed polylines, data on their positive side.
+///
+/// Errors: `no-area` if no three neighbouring valid pixels span an area.
+pub fn outline<T: Height>(grid: &Grid<T>, shape: &Shape, progress: &mut Progress) -> Result<Vec<Vec<Point>>> {
+    if shape.sieve > 1 {
+        let mask = sieve(grid, shape.sieve, progress)?;
+        let mask = Grid::new(&mask, grid.rows(), grid.cols())?;
+        let plain = Shape { sieve: 0, ..*shape };
+        return outline(&mask, &plain, progress);
+    }
+    let centre = |&(col, row): &(i32, i32)| Point::pixel(col as usize, row as usize);
+    let mut borders: Vec<Vec<Point>> = Vec::new();
+    for chain in trace(grid, progress)? {
+        borders.push(simplify(&chain, shape.tolerance, progress)?.iter().map(centre).collect());
+    }
+    if shape.keep_isolated {
+        borders.extend(isolated(grid, progress)?.into_iter().map(|(col, row)| around(grid, col, row)));
+    }
+    if borders.is_empty() {
+        return Err(Error::input(
+            "no-area",
+            "the valid pixels span no area: a TIN needs three neighbouring ones that are not on a line",
+        ));
+    }
+    Ok(borders)
+}
+
+/// The valid pixels that belong to no cell.
+fn isolated<T: Height>(grid: &Grid<T>, progress: &mut Progress) -> Result<Vec<(usize, usize)>> {
+    let cells = grid.cols() - 1;
+    let (mut above, mut below) = (vec![0u8; cells], Vec::new());
+    let mut found = Vec::new();
+    for row in 0..grid.rows() {
+        progress.poll(cells, || row as f64 / grid.rows() as f64)?;
+        if row + 1 < grid.rows() {
+            cell_row(grid, row, &mut below);
+        } else {
+            below.fill(0);
+        }
+        for col in (0..grid.cols()).filter(|&col| grid.is_valid(col, row)) {
+            let around = col.saturating_sub(1)..(col + 1).min(cells);
+            if above[around.clone()].iter().chain(&below[around]).all(|&cell| cell == 0) {
+                found.push((col, row));
+            }
+        }
+        std::mem::swap(&mut above, &mut below);
+    }
+    Ok(found)
+}
+
+/// A ring half a pixel around the centre, as far as the raster reaches.
+fn around<T: Height>(grid: &Grid<T>, col: usize, row: usize) -> Vec<Point> {
+    let Point { x, y } = Point::pixel(col, row);
+    let corner = Point::pixel(grid.cols() - 1, grid.rows() - 1);
+    let half = UNIT / 2;
+    let mut ring: Vec<Point> = [(-half, 0), (0, -half), (half, 0), (0, half), (-half, 0)]
+        .map(|(dx, dy)| Point { x: (x + dx).clamp(0, corner.x), y: (y + dy).clamp(0, corner.y) })
+        .to_vec();
+    ring.dedup();
+    ring
+}
 
 /// Corners of a cell in positive order.
 const CORNERS: [(usize, usize); 4] = [(0, 0), (1, 0), (1, 1), (0, 1)];
@@ -144,150 +218,5 @@ fn straighten_start(ring: &mut Chain) {
             ring.pop();
             ring[0] = last;
         }
-    }
-}
-
-/// The chain with the fewest corners that keeps all data on its positive side and all
-/// void pixel centres on the other: it takes in void area, never a void pixel, and
-/// strays less than a pixel. No pixel centre lies between it and the exact chain,
-/// which is why simplified chains cannot cross each other either.
-pub fn simplify(chain: &Chain) -> Chain {
-    let corners = if chain.first() == chain.last() { from_extreme(chain) } else { chain.clone() };
-    let n = corners.len();
-    // Fewest segments from corner 0 to each corner, and the corner before it.
-    let mut best = vec![(usize::MAX, 0usize); n];
-    best[0].0 = 0;
-    for i in 0..n - 1 {
-        let count = best[i].0 + 1;
-        reach(&corners, i, |j| {
-            if count < best[j].0 {
-                best[j] = (count, i);
-            }
-        });
-    }
-    let mut kept = vec![corners[n - 1]];
-    let mut at = n - 1;
-    while at > 0 {
-        at = best[at].1;
-        kept.push(corners[at]);
-    }
-    kept.reverse();
-    kept
-}
-
-/// The ring starting at its first corner in (column, row) order, where it must bend.
-fn from_extreme(ring: &Chain) -> Chain {
-    let open = &ring[..ring.len() - 1];
-    let start = (0..open.len()).min_by_key(|&i| open[i]).unwrap_or(0);
-    let mut turned: Chain = open[start..].iter().chain(&open[..start]).copied().collect();
-    turned.push(turned[0]);
-    turned
-}
-
-/// Calls `visit(j)` for every corner j > i that a chord from corner i can reach: the
-/// corners between are on or left of it, the void pixels beside the chain right of it.
-fn reach(corners: &Chain, i: usize, mut visit: impl FnMut(usize)) {
-    type Vector = (i64, i64);
-    let cross = |u: Vector, v: Vector| u.0 * v.1 - u.1 * v.0;
-    let from = |p: (i32, i32)| (i64::from(p.0 - corners[i].0), i64::from(p.1 - corners[i].1));
-    // Directions between `void` (excluded) and `data` (included) remain.
-    let (mut data, mut void): (Option<Vector>, Option<Vector>) = (None, None);
-    for j in i + 1..corners.len() {
-        for q in voids_beside(corners[j - 1], corners[j]).map(from) {
-            if void.is_none_or(|v| cross(v, q) > 0) {
-                void = Some(q);
-            }
-        }
-        let p = from(corners[j]);
-        let is_open =
-            |v: Vector| void.is_none_or(|q| cross(q, v) > 0) && data.is_none_or(|d| cross(v, d) >= 0);
-        if j == i + 1 || is_open(p) {
-            visit(j);
-        }
-        if data.is_none_or(|d| cross(p, d) > 0) {
-            data = Some(p);
-        }
-        if let (Some(d), Some(q)) = (data, void) {
-            if cross(q, d) <= 0 {
-                return;
-            }
-        }
-    }
-}
-
-/// The pixels right of the first and the last step of the straight run from `a` to `b`.
-fn voids_beside(a: (i32, i32), b: (i32, i32)) -> [(i32, i32); 2] {
-    let (dx, dy) = ((b.0 - a.0).signum(), (b.1 - a.1).signum());
-    let (rx, ry) = (dy, -dx);
-    if dx == 0 || dy == 0 {
-        [(a.0 + rx, a.1 + ry), (b.0 + rx, b.1 + ry)]
-    } else {
-        [(a.0 + (rx + dx) / 2, a.1 + (ry + dy) / 2), (b.0 + (rx - dx) / 2, b.1 + (ry - dy) / 2)]
-    }
-}
-
-/// The mesh of the outline alone: every triangle is data or void, the edges
-/// between the two are constrained.
-///
-/// Errors: `no-area` if no three neighbouring valid pixels span an area.
-pub fn outline_mesh<T: Height>(grid: &Grid<T>, metric: Metric, progress: &mut Progress) -> Result<Mesh> {
-    let chains: Vec<Chain> = trace(grid, progress)?.iter().map(simplify).collect();
-    if chains.is_empty() {
-        return Err(Error::input(
-            "no-area",
-            "the valid pixels span no area: a TIN needs three neighbouring ones that are not on a line",
-        ));
-    }
-    let mut mesh = Mesh::rectangle(grid.cols(), grid.rows(), metric);
-    let corners: Vec<(i32, i32)> = chains.iter().flatten().copied().collect();
-    let points: Vec<Point> = corners.iter().map(|c| Point::pixel(c.0 as usize, c.1 as usize)).collect();
-    let mut vertices = HashMap::new();
-    for i in insertion_order(&points) {
-        let start = mesh.triangles().len() as u32 - 1;
-        vertices.entry(corners[i]).or_insert_with(|| mesh.insert(points[i], start));
-        progress.poll(256, || 1.0)?;
-    }
-    let mut signed: HashMap<(u32, u32), i32> = HashMap::new();
-    let mut constrainer = Constrainer::new(&mut mesh);
-    for segment in chains.iter().flat_map(|chain| chain.windows(2)) {
-        let (a, b) = (vertices[&segment[0]], vertices[&segment[1]]);
-        let count = |from, to| {
-            *signed.entry((from, to)).or_default() += 1;
-            *signed.entry((to, from)).or_default() -= 1;
-        };
-        constrainer.insert(a, b, count).map_err(|crossing| {
-            Error::input("outline", format!("the outline of the data crosses itself at {crossing:?}"))
-        })?;
-    }
-    classify(&mut mesh, &signed);
-    Ok(mesh)
-}
-
-/// Marks the triangles around which the outline does not wind as void.
-/// `signed`: how often the outline runs along each directed edge.
-fn classify(mesh: &mut Mesh, signed: &HashMap<(u32, u32), i32>) {
-    let along = |mesh: &Mesh, h: u32| signed.get(&(mesh.origin(h), mesh.dest(h))).copied().unwrap_or(0);
-    let count = mesh.triangles().len() as u32;
-    let mut winding: Vec<Option<i32>> = vec![None; count as usize];
-    let mut stack = Vec::new();
-    for t in 0..count {
-        for h in (0..3).map(|k| half_edge(t, k)) {
-            if mesh.twin(h) == NONE && winding[t as usize].is_none() {
-                winding[t as usize] = Some(along(mesh, h));
-                stack.push(t);
-            }
-        }
-    }
-    while let Some(t) = stack.pop() {
-        for h in (0..3).map(|k| half_edge(t, k)) {
-            let twin = mesh.twin(h);
-            if twin != NONE && winding[triangle_of(twin) as usize].is_none() {
-                winding[triangle_of(twin) as usize] = winding[t as usize].map(|w| w - along(mesh, h));
-                stack.push(triangle_of(twin));
-            }
-        }
-    }
-    for t in 0..count {
-        mesh.set_void(t, winding[t as usize].unwrap_or(0) <= 0);
     }
 }

@@ -1,15 +1,16 @@
 //! From heights to a mesh: the stages in their order, each a switch of its own.
 
+use crate::domain::{domain, Constraints};
 use crate::error::{Error, Result};
 use crate::fit::{fit_heights, flip_pass, Blend};
 use crate::grid::{Grid, Height};
-use crate::mesh::Mesh;
 use crate::order::{by_place, scramble};
-use crate::outline::outline_mesh;
+use crate::outline::Shape;
 use crate::predicate::Metric;
 use crate::progress::Progress;
 use crate::refine::{Refiner, Rule, Stop};
 use crate::scale::{choose, gaussian, noise, noise_left, spikes};
+use crate::surface::Surface;
 use std::borrow::Cow;
 
 /// Which smoothed images are refined, coarse to fine.
@@ -38,8 +39,8 @@ pub struct Options {
     pub fit: bool,
     /// Rounds of error-lowering edge flips, each followed by a fit.
     pub flips: u32,
-    /// Pixels (column, row) that are vertices from the start (P_I of Algorithm 1).
-    pub initial: Vec<(usize, usize)>,
+    pub shape: Shape,
+    pub constraints: Constraints,
 }
 
 /// What was done on the way.
@@ -57,9 +58,7 @@ pub struct Report {
 }
 
 pub struct Triangulation {
-    pub mesh: Mesh,
-    /// Height of every vertex; NaN for scaffolding that only void triangles use.
-    pub z: Vec<f64>,
+    pub surface: Surface,
     pub report: Report,
 }
 
@@ -73,14 +72,17 @@ struct Images<'a, T: Height> {
 /// Widest smoothing, in pixels: beyond it the convolution takes minutes.
 const MAX_SIGMA: f64 = 100.0;
 
+/// Widest tolerance of the outline, in pixels: beyond it its search takes minutes.
+const MAX_OUTLINE: f64 = 100.0;
+
 /// Squares and products of heights must not overflow.
 const MAX_HEIGHT: f64 = 1e100;
 
 /// Residuals up to this many standard deviations of the noise are taken for noise.
 const SIGNIFICANT: f64 = 3.0;
 
-/// Runs the method. Errors: `too-small`, `too-large`, `no-area`, `bad-option`,
-/// `cancelled`.
+/// Runs the method. Errors: `too-small`, `too-large`, `no-area`, `clip-outside`,
+/// `bad-option`, `cancelled`.
 pub fn triangulate<T: Height>(
     grid: &Grid<T>,
     metric: Metric,
@@ -88,10 +90,10 @@ pub fn triangulate<T: Height>(
     progress: &mut Progress,
 ) -> Result<Triangulation> {
     validate(options, grid)?;
-    progress.stage("outline")?;
-    let mesh = outline_mesh(grid, metric, progress)?;
     let Images { data, spikes, noise } = prepare(grid, options, progress)?;
     let data = Grid::new(&data, grid.rows(), grid.cols())?;
+    progress.stage("outline")?;
+    let surface = domain(&data, metric, &options.shape, &options.constraints, progress)?;
 
     progress.stage("smooth")?;
     let bounded = options.has_tolerance && options.rule.bound == 1.0;
@@ -108,8 +110,10 @@ pub fn triangulate<T: Height>(
         scales.push([0.0; 2]);
     }
 
-    let mut refiner = Refiner::new(mesh, &Grid::new(&finest, grid.rows(), grid.cols())?);
-    refiner.insert(&options.initial, &Grid::new(&finest, grid.rows(), grid.cols())?);
+    let mut refiner = Refiner::new(surface);
+    let image = Grid::new(&finest, grid.rows(), grid.cols())?;
+    refiner.surface.sample(&image);
+    refiner.insert(&options.constraints.pixels, &image);
     let is_too_few = refiner.count() > options.max_points;
     let mut stop = Stop::Tolerance;
     for (i, &sigma) in scales.iter().enumerate() {
@@ -117,7 +121,7 @@ pub fn triangulate<T: Height>(
             progress.stage("smooth")?;
             finest = gaussian(&data, sigma, progress)?;
             if bounded && sigma == [0.0; 2] {
-                refiner.sample(&data);
+                refiner.surface.sample(&data);
             }
         }
         progress.stage("refine")?;
@@ -130,13 +134,14 @@ pub fn triangulate<T: Height>(
     }
 
     progress.stage("order")?;
-    by_place(&mut refiner.mesh, &mut refiner.z, progress)?;
+    by_place(&mut refiner.surface, progress)?;
     let target = if options.fit {
-        fit(&mut refiner, &data, finest, noise, scales[scales.len() - 1], progress)?
+        fit(&mut refiner.surface, &data, finest, noise, scales[scales.len() - 1], progress)?
     } else {
         finest
     };
-    let delaunay = flip(&mut refiner, &Grid::new(&target, grid.rows(), grid.cols())?, options, progress)?;
+    let delaunay =
+        flip(&mut refiner.surface, &Grid::new(&target, grid.rows(), grid.cols())?, options, progress)?;
     if bounded && (options.fit || options.flips > 0) {
         stop = restore_bound(&mut refiner, &data, options, progress)?;
     }
@@ -147,7 +152,7 @@ pub fn triangulate<T: Height>(
         stop => stop,
     };
     let report = Report { stop, noise, spikes, scales, delaunay };
-    Ok(Triangulation { mesh: refiner.mesh, z: refiner.z, report })
+    Ok(Triangulation { surface: refiner.surface, report })
 }
 
 fn validate<T: Height>(options: &Options, grid: &Grid<T>) -> Result<()> {
@@ -160,7 +165,10 @@ fn validate<T: Height>(options: &Options, grid: &Grid<T>) -> Result<()> {
     if !(weight.is_finite() && tolerance.is_finite() && tolerance >= 0.0) {
         return bad("the tolerance must be a finite number, 0 or more");
     }
-    if options.initial.iter().any(|&(col, row)| col >= grid.cols() || row >= grid.rows()) {
+    if !(0.0..=MAX_OUTLINE).contains(&options.shape.tolerance) {
+        return bad("the outline's tolerance must lie between 0 and 100 pixels");
+    }
+    if options.constraints.pixels.iter().any(|&(col, row)| col >= grid.cols() || row >= grid.rows()) {
         return bad("an initial point lies outside the raster");
     }
     if grid.z().iter().any(|z| z.to_f64().abs() > MAX_HEIGHT) {
@@ -197,7 +205,7 @@ fn prepare<'a, T: Height>(
 /// Fits the heights to the data, with as much of the smoothed image mixed in as the
 /// noise that the mesh would still follow calls for; returns that mixture.
 fn fit<'a, T: Height>(
-    refiner: &mut Refiner,
+    surface: &mut Surface,
     data: &Grid<'a, T>,
     mut smooth: Cow<'a, [T]>,
     noise: f64,
@@ -206,7 +214,7 @@ fn fit<'a, T: Height>(
 ) -> Result<Cow<'a, [T]>> {
     progress.stage("fit")?;
     if noise == 0.0 || sigma == [0.0; 2] {
-        fit_heights(&refiner.mesh, &mut refiner.z, data, progress)?;
+        fit_heights(surface, data, progress)?;
         return Ok(Cow::Borrowed(data.z()));
     }
     let random_sign = |i: u64| if scramble(i) & 1 == 0 { 1.0 } else { -1.0 };
@@ -214,7 +222,7 @@ fn fit<'a, T: Height>(
         (0..).zip(data.z()).map(|(i, z)| T::from_f64(random_sign(i) + 0.0 * z.to_f64())).collect();
     let smooth_probe = gaussian(&Grid::new(&probe, data.rows(), data.cols())?, sigma, progress)?;
     let blend = Blend { data: *data, smooth: &smooth, probe: &probe, smooth_probe: &smooth_probe, noise };
-    let share = blend.fit(&refiner.mesh, &mut refiner.z, progress)?;
+    let share = blend.fit(surface, progress)?;
     for (smooth, data) in smooth.to_mut().iter_mut().zip(data.z()) {
         *smooth = T::from_f64(share * smooth.to_f64() + (1.0 - share) * data.to_f64());
     }
@@ -223,18 +231,18 @@ fn fit<'a, T: Height>(
 
 /// Flips edges, each round followed by a fit; whether the mesh is still Delaunay.
 fn flip<T: Height>(
-    refiner: &mut Refiner,
+    surface: &mut Surface,
     target: &Grid<T>,
     options: &Options,
     progress: &mut Progress,
 ) -> Result<bool> {
     for round in 0..options.flips {
         progress.stage("flip")?;
-        if flip_pass(&mut refiner.mesh, &refiner.z, target, progress)? == 0 {
+        if flip_pass(surface, target, progress)? == 0 {
             return Ok(round == 0);
         }
         if options.fit {
-            fit_heights(&refiner.mesh, &mut refiner.z, target, progress)?;
+            fit_heights(surface, target, progress)?;
         }
     }
     Ok(options.flips == 0)
@@ -249,12 +257,11 @@ fn restore_bound<T: Height>(
     progress: &mut Progress,
 ) -> Result<Stop> {
     let tolerance = options.rule.tolerance;
-    for v in 0..refiner.z.len() {
-        if let Some((col, row)) = refiner.mesh.point(v as u32).as_pixel() {
-            let z = data.at(col, row);
-            if !z.is_nan() {
-                refiner.z[v] = refiner.z[v].clamp(z - tolerance, z + tolerance);
-            }
+    let Surface { mesh, z, is_fixed } = &mut refiner.surface;
+    for ((z, p), is_fixed) in z.iter_mut().zip(mesh.points()).zip(is_fixed) {
+        let here = p.as_pixel().map_or(f64::NAN, |(col, row)| data.at(col, row));
+        if !here.is_nan() && !*is_fixed {
+            *z = z.clamp(here - tolerance, here + tolerance);
         }
     }
     progress.stage("refine")?;

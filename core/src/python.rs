@@ -1,15 +1,19 @@
 //! The Python binding: arrays in, arrays out, nothing else.
 
 use crate::check;
+use crate::crop::Vertex;
+use crate::domain::{Constraints, Polygon};
 use crate::error::Error;
 use crate::grid::{Grid, Height};
 use crate::measure;
 use crate::mesh;
+use crate::outline::Shape;
 use crate::pipeline::{self, Options, Report, Scales};
 use crate::predicate::{Metric, UNIT};
 use crate::progress::Progress;
 use crate::refine::{Rule, Stop};
 use crate::scale;
+use crate::surface::Surface;
 use numpy::{Element, IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::exceptions::{PyRuntimeError, PyTypeError};
 use pyo3::prelude::*;
@@ -83,7 +87,7 @@ struct Mesh {
 
 impl Mesh {
     fn new(done: pipeline::Triangulation, rows: usize, cols: usize) -> Self {
-        let pipeline::Triangulation { mesh, z, report } = done;
+        let pipeline::Triangulation { surface: Surface { mesh, z, .. }, report } = done;
         let kept: Vec<u32> =
             (0..mesh.triangles().len() as u32).filter(|&t| !mesh.triangle(t).is_void()).collect();
         let mut numbers = vec![mesh::NONE; z.len()];
@@ -246,10 +250,26 @@ impl Mesh {
     }
 }
 
+/// The rings of a polygon, each (n, 3) column, row and height.
+type Rings<'py> = Vec<PyReadonlyArray2<'py, f64>>;
+
+fn vertices(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<Vertex>> {
+    let array = array.as_array();
+    if array.ncols() != 3 {
+        return Err(PyTypeError::new_err("vertices must be (n, 3): column, row, height"));
+    }
+    Ok(array.rows().into_iter().map(|v| [v[0], v[1], v[2]]).collect())
+}
+
+fn polygon(rings: &Rings<'_>) -> PyResult<Polygon> {
+    rings.iter().map(vertices).collect()
+}
+
 /// Triangulates a raster; see `tin.triangulate` for the meaning of the options.
 #[pyfunction]
 #[pyo3(signature = (z, metric, *, max_points, points_per_scale, priority, weight, candidate, tolerance, bound,
-                    stop_at_noise, scales, despike, fit, flips, initial, progress=None))]
+                    stop_at_noise, scales, despike, fit, flips, outline_tolerance, keep_isolated, sieve,
+                    pixels, points, lines, clip, flat, progress=None))]
 #[allow(clippy::too_many_arguments)]
 fn triangulate(
     py: Python<'_>,
@@ -267,9 +287,23 @@ fn triangulate(
     despike: bool,
     fit: bool,
     flips: u32,
-    initial: Vec<(usize, usize)>,
+    outline_tolerance: f64,
+    keep_isolated: bool,
+    sieve: usize,
+    pixels: Vec<(usize, usize)>,
+    points: PyReadonlyArray2<'_, f64>,
+    lines: Vec<PyReadonlyArray2<'_, f64>>,
+    clip: Option<Vec<Rings<'_>>>,
+    flat: Vec<(Rings<'_>, f64)>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Mesh> {
+    let constraints = Constraints {
+        pixels,
+        points: vertices(&points)?,
+        lines: lines.iter().map(vertices).collect::<PyResult<_>>()?,
+        clip: clip.map(|areas| areas.iter().map(|rings| polygon(rings)).collect()).transpose()?,
+        flat: flat.iter().map(|(rings, level)| Ok((polygon(rings)?, *level))).collect::<PyResult<_>>()?,
+    };
     let options = Options {
         max_points: max_points.unwrap_or(usize::MAX),
         points_per_scale: points_per_scale.unwrap_or(usize::MAX),
@@ -280,7 +314,8 @@ fn triangulate(
         despike,
         fit,
         flips,
-        initial,
+        shape: Shape { tolerance: outline_tolerance, keep_isolated, sieve },
+        constraints,
     };
     match &z {
         Heights::Single(z) => run(py, z, metric, options, progress),

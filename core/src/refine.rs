@@ -8,12 +8,13 @@
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
-use crate::mesh::Mesh;
+use crate::mesh::Class;
 use crate::order::insertion_order;
 use crate::predicate::Point;
 use crate::progress::Progress;
 use crate::queue::{Candidate, Queue};
 use crate::scan::{collect, for_each_pixel, warm, worst, Corners};
+use crate::surface::Surface;
 
 /// How triangles are ranked, what is inserted and when to stop.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,71 +60,35 @@ pub fn quantile_index(n: usize, q: f64) -> usize {
     ((n - 1) as f64 * q).floor() as usize
 }
 
-/// A mesh being refined over changing images; heights belong to its vertices.
+/// A surface being refined over changing images.
 pub struct Refiner {
-    pub mesh: Mesh,
-    /// Height of every vertex; NaN for scaffolding on void pixels.
-    pub z: Vec<f64>,
+    pub surface: Surface,
     queue: Queue,
     /// Scratch: the bits of a triangle's errors.
     errors: Vec<u64>,
     touched: Vec<u32>,
-    /// Vertices without data, which do not count as points.
     scaffolding: usize,
 }
 
 impl Refiner {
-    /// Takes over `mesh`; the vertices of its data triangles are pixels of `grid` and
-    /// get its heights.
-    pub fn new<T: Height>(mesh: Mesh, grid: &Grid<T>) -> Self {
-        let mut refiner = Refiner {
-            z: vec![f64::NAN; mesh.points().len()],
-            mesh,
-            queue: Queue::new(None),
-            errors: Vec::new(),
-            touched: Vec::new(),
-            scaffolding: 0,
-        };
-        for triangle in refiner.mesh.triangles().iter().filter(|t| !t.is_void()) {
-            for v in triangle.v {
-                refiner.z[v as usize] = 0.0;
-            }
-        }
-        refiner.sample(grid);
-        refiner.scaffolding = refiner.z.iter().filter(|z| z.is_nan()).count();
-        refiner
-    }
-
-    /// Gives every vertex on a pixel the height of `grid` there.
-    pub fn sample<T: Height>(&mut self, grid: &Grid<T>) {
-        for (z, p) in self.z.iter_mut().zip(self.mesh.points()) {
-            if let (false, Some((col, row))) = (z.is_nan(), p.as_pixel()) {
-                *z = grid.at(col, row);
-            }
-        }
+    pub fn new(surface: Surface) -> Self {
+        let scaffolding = surface.count_scaffolding();
+        Refiner { surface, queue: Queue::new(None), errors: Vec::new(), touched: Vec::new(), scaffolding }
     }
 
     /// Number of vertices that carry a height.
     pub fn count(&self) -> usize {
-        self.z.len() - self.scaffolding
-    }
-
-    /// Heights of the corners of triangle `t`.
-    pub fn heights(&self, t: u32) -> [f64; 3] {
-        self.mesh.triangle(t).v.map(|v| self.z[v as usize])
+        self.surface.z.len() - self.scaffolding
     }
 
     /// Makes the pixels (column, row) of `grid` vertices, unless they lie outside the data.
     pub fn insert<T: Height>(&mut self, pixels: &[(usize, usize)], grid: &Grid<T>) {
         let points: Vec<Point> = pixels.iter().map(|&(col, row)| Point::pixel(col, row)).collect();
         for i in insertion_order(&points) {
-            let start = self.mesh.triangles().len() as u32 - 1;
-            let place = self.mesh.locate(points[i], start);
-            if self.mesh.is_in_data(place) {
-                let vertex = self.mesh.insert_at(points[i], place) as usize;
-                if vertex == self.z.len() {
-                    self.z.push(grid.at(pixels[i].0, pixels[i].1));
-                }
+            let mesh = &self.surface.mesh;
+            let place = mesh.locate(points[i], mesh.triangles().len() as u32 - 1);
+            if mesh.is_in_data(place) {
+                self.surface.insert_pixel(pixels[i], place, grid);
             }
         }
     }
@@ -139,24 +104,24 @@ impl Refiner {
     ) -> Result<Stop> {
         let is_large = grid.rows() * grid.cols() > EXACT_PIXELS;
         self.queue = Queue::new(is_large.then_some(grid.cols() as u64));
-        self.mesh.take_touched(&mut self.touched);
-        for t in 0..self.mesh.triangles().len() as u32 {
+        self.surface.mesh.take_touched(&mut self.touched);
+        for t in 0..self.surface.mesh.triangles().len() as u32 {
             let work = self.enqueue(grid, rule, t);
             progress.poll(work, || 0.0)?;
         }
         let (start, mut first_priority) = (self.count(), None);
         while self.count() < max_points {
-            let mesh = &self.mesh;
+            let mesh = &self.surface.mesh;
             let is_current = |c: &Candidate| mesh.triangle(c.triangle).version == c.version;
             let Some(best) = self.queue.pop(max_points - self.count(), is_current) else {
                 return Ok(Stop::Tolerance);
             };
             let cols = grid.cols() as u64;
             let (col, row) = ((best.pixel % cols) as usize, (best.pixel / cols) as usize);
-            self.mesh.insert_in(Point::pixel(col, row), best.triangle);
-            self.z.push(grid.at(col, row));
-            self.mesh.take_touched(&mut self.touched);
-            warm(grid, self.touched.iter().flat_map(|&t| self.mesh.corners(t)));
+            let place = mesh.place_in(Point::pixel(col, row), best.triangle);
+            self.surface.insert_pixel((col, row), place, grid);
+            self.surface.mesh.take_touched(&mut self.touched);
+            warm(grid, self.touched.iter().flat_map(|&t| self.surface.mesh.corners(t)));
             let mut work = 64;
             for i in 0..self.touched.len() {
                 work += self.enqueue(grid, rule, self.touched[i]);
@@ -175,17 +140,24 @@ impl Refiner {
     /// Scans triangle `t` and queues its candidate unless it is within the
     /// tolerance. Returns the work done in pixels.
     fn enqueue<T: Height>(&mut self, grid: &Grid<T>, rule: &Rule, t: u32) -> usize {
-        let triangle = self.mesh.triangle(t);
-        if triangle.is_void() {
+        let triangle = *self.surface.mesh.triangle(t);
+        if triangle.class() != Class::Data {
             return 0;
         }
         let version = triangle.version;
-        let (p, z) = (self.mesh.corners(t), self.heights(t));
-        let is_max = rule.priority == 1.0 && rule.candidate == 1.0 && rule.bound == 1.0;
-        let worst = if is_max {
-            worst(grid, p, z, Corners::Excluded)
+        let (p, z) = (self.surface.mesh.corners(t), self.surface.heights(t));
+        let corners = if triangle.has_hard_edge() {
+            Corners::ExcludedWith([0, 1, 2].map(|k| triangle.is_hard(k)))
         } else {
-            collect(grid, p, z, Corners::Excluded, &mut self.errors)
+            Corners::Excluded
+        };
+        let is_max = rule.priority == 1.0 && rule.candidate == 1.0 && rule.bound == 1.0;
+        let worst = match (is_max, corners) {
+            // Told apart here, so that the common walk is compiled without tests of edges.
+            (true, Corners::Excluded) => worst(grid, p, z, Corners::Excluded),
+            (true, _) => worst(grid, p, z, corners),
+            (false, Corners::Excluded) => collect(grid, p, z, Corners::Excluded, &mut self.errors),
+            (false, _) => collect(grid, p, z, corners, &mut self.errors),
         };
         let work = worst.count * if is_max { 1 } else { 4 };
         // The maximum bounds every quantile; what fits exactly needs no point.
@@ -200,7 +172,7 @@ impl Refiner {
             if rule.candidate < 1.0 {
                 let at = select(&mut self.errors, rule.candidate);
                 let mut found = false;
-                for_each_pixel(grid, p, z, Corners::Excluded, |c, r, z, plane| {
+                for_each_pixel(grid, p, z, corners, |c, r, z, plane| {
                     if !found && (z - plane).abs() == at {
                         (col, row, found) = (c, r, true);
                     }

@@ -47,6 +47,8 @@ impl Plane {
 pub enum Corners {
     Included,
     Excluded,
+    /// Nor those on the edges from corner k to corner k + 1 that are marked.
+    ExcludedWith([bool; 3]),
 }
 
 /// Calls `visit(row, first, end)` for every row of pixel centres in the closed
@@ -60,8 +62,8 @@ pub fn for_each_span(p: [Point; 3], corners: Corners, mut visit: impl FnMut(usiz
     // From this row on the lower of the two short edges bounds the triangle.
     let turn_row = if bottom.y > mid.y { (mid.y + UNIT - 1) >> SUB_BITS } else { i32::MAX };
     let skip = match corners {
-        Corners::Excluded => [top, mid, bottom].map(pixel_or_none),
         Corners::Included => [NO_PIXEL; 3],
+        _ => [top, mid, bottom].map(pixel_or_none),
     };
     let mut long = Edge::new(top, bottom, first_row);
     let mut short = if turn_row > first_row { Edge::new(top, mid, first_row) } else { long };
@@ -76,6 +78,19 @@ pub fn for_each_span(p: [Point; 3], corners: Corners, mut visit: impl FnMut(usiz
             if corner_row == row {
                 first += i32::from(corner_col == first);
                 last -= i32::from(corner_col == last);
+            }
+        }
+        if let Corners::ExcludedWith(edges) = corners {
+            // On a level edge all pixels of the row lie, on any other those at an end.
+            let is_excluded = |col: i32| {
+                let q = Point::pixel(col as usize, row as usize);
+                (0..3).any(|k| edges[k] && orient2d(p[k], p[(k + 1) % 3], q) == 0)
+            };
+            while first <= last && is_excluded(first) {
+                first += 1;
+            }
+            while first <= last && is_excluded(last) {
+                last -= 1;
             }
         }
         if first <= last {
@@ -224,8 +239,8 @@ pub fn warm<T: Height>(grid: &Grid<T>, points: impl Iterator<Item = Point>) {
     std::hint::black_box(sum);
 }
 
-/// As [`worst`], and collects the bits of all errors: of numbers that are not
-/// negative they sort like the values. The triangle must not cover a void.
+/// As [`worst`], and collects the bits of all errors, voids left out: of numbers that
+/// are not negative they sort like the values.
 #[inline]
 pub fn collect<T: Height>(
     grid: &Grid<T>,
@@ -236,6 +251,7 @@ pub fn collect<T: Height>(
 ) -> Worst {
     let plane = Plane::through(p, z);
     let mut worst = Worst { count: 0, error: -1.0, col: 0, row: 0 };
+    let mut has_void = false;
     errors.clear();
     for_each_span(p, corners, |row, first, end| {
         let on_row = plane.on_row(row);
@@ -250,8 +266,12 @@ pub fn collect<T: Height>(
             if error > worst.error {
                 worst = Worst { error, col, row, ..worst };
             }
+            has_void |= error.is_nan();
         }
     });
+    if has_void {
+        errors.retain(|&bits| !f64::from_bits(bits).is_nan());
+    }
     worst.count = errors.len();
     worst
 }

@@ -4,12 +4,12 @@
 mod common;
 
 use common::{assert_sound, form, sorted, triangle_set, Random, FORMS};
-use dem2tin_core::constrain::{Constrainer, Crossing};
+use dem2tin_core::constrain::{Constrainer, Label};
 use dem2tin_core::mesh::{half_edge, Mesh};
 use dem2tin_core::predicate::{orient2d, Metric, Point, UNIT};
 use proptest::prelude::*;
 use spade::{ConstrainedDelaunayTriangulation, Point2, Triangulation};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 type Edge = (Point, Point);
 
@@ -51,44 +51,64 @@ fn on_segment((a, b): Edge, t: f64) -> Option<Point> {
     (orient2d(a, b, p) == 0 && p != a && p != b).then_some(p)
 }
 
-/// Tries to insert `n` random segments; refusals must match plain crossing tests.
+/// Inserts one segment, which the mesh keeps.
+fn constrain(mesh: &mut Mesh, a: u32, b: u32) {
+    let free = vec![f64::NAN; mesh.points().len()];
+    Constrainer::new(mesh, free).insert(a, b, Label::border(0));
+}
+
+/// Inserts `n` random segments; every one must have become a path of edges next
+/// to it.
 fn constrain_at_random(mesh: &mut Mesh, n: usize, random: &mut Random) -> BTreeSet<Edge> {
-    let mut kept = BTreeSet::new();
-    for _ in 0..n {
-        let (a, b) = (random.below(mesh.points().len()) as u32, random.below(mesh.points().len()) as u32);
-        let segment = (mesh.point(a), mesh.point(b));
-        let blocked: Vec<Edge> = kept.iter().copied().filter(|&k| crosses(segment, k)).collect();
-        let mut parts = Vec::new();
-        let result = Constrainer::new(mesh).insert(a, b, |from, to| parts.push((from, to)));
-        match result {
-            Ok(()) => {
-                assert!(blocked.is_empty());
-                let (mut at, mut way) = (a, parts.iter());
-                while at != b {
-                    let &(from, to) = way.next().expect("the parts reach the end");
-                    assert_eq!(from, at);
-                    at = to;
-                }
-                assert!(way.next().is_none());
-            }
-            Err(Crossing { a, b }) => assert!(blocked.contains(&edge(mesh.point(a), mesh.point(b)))),
-        }
-        kept.extend(parts.iter().map(|&(a, b)| edge(mesh.point(a), mesh.point(b))));
+    let ends: Vec<(u32, u32)> = (0..n)
+        .map(|_| (random.below(mesh.points().len()) as u32, random.below(mesh.points().len()) as u32))
+        .collect();
+    let free = vec![f64::NAN; mesh.points().len()];
+    let mut constrainer = Constrainer::new(mesh, free);
+    for (i, &(a, b)) in ends.iter().enumerate() {
+        constrainer.insert(a, b, Label::border(i as u32 + 1));
     }
-    kept
+    let (labels, fixed) = constrainer.finish();
+    assert_eq!(fixed.len(), mesh.points().len());
+    mesh.make_delaunay();
+    let segments: Vec<Edge> = ends.iter().map(|&(a, b)| (mesh.point(a), mesh.point(b))).collect();
+    let mut balance: BTreeMap<(u32, u32), i32> = BTreeMap::new();
+    for h in (0..mesh.triangles().len() as u32).flat_map(|t| [0, 1, 2].map(|k| half_edge(t, k))) {
+        let (from, to, twin) = (mesh.origin(h), mesh.dest(h), mesh.twin(h));
+        let label = labels.get(from, to);
+        assert_eq!(label.is_some(), mesh.is_constrained(h));
+        for (i, count) in label.filter(|_| h < twin).into_iter().flat_map(|label| label.winding) {
+            *balance.entry((i, from)).or_default() += count;
+            *balance.entry((i, to)).or_default() -= count;
+            let (a, b) = segments[i as usize - 1];
+            for p in [from, to].map(|v| mesh.point(v)) {
+                let length = f64::from(b.x - a.x).hypot(f64::from(b.y - a.y));
+                let apart = (orient2d(a, b, p) as f64 / length).abs();
+                assert!(apart <= 6.0, "{apart}");
+            }
+        }
+    }
+    for (i, &(a, b)) in ends.iter().enumerate().filter(|(_, (a, b))| a != b) {
+        *balance.entry((i as u32 + 1, a)).or_default() -= 1;
+        *balance.entry((i as u32 + 1, b)).or_default() += 1;
+    }
+    assert!(balance.values().all(|&count| count == 0));
+    constrained_edges(mesh)
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(10_000))]
 
     #[test]
-    fn segments_are_recovered_and_only_crossing_ones_refused(
+    fn segments_become_paths_and_meet_where_they_cross(
         side in 2usize..12, on_pixels: bool, n in 0usize..60, segments in 1usize..12, which in 0..FORMS.len(), seed: u64,
     ) {
         let random = &mut Random(seed);
         let mut mesh = mesh_of(side, if on_pixels { UNIT } else { 1 }, n, which, random);
-        let kept = constrain_at_random(&mut mesh, segments, random);
-        prop_assert_eq!(constrained_edges(&mesh), kept);
+        let kept: Vec<Edge> = constrain_at_random(&mut mesh, segments, random).into_iter().collect();
+        for (i, &a) in kept.iter().enumerate() {
+            prop_assert!(!kept[i + 1..].iter().any(|&b| crosses(a, b)));
+        }
         assert_sound(&mesh, true);
     }
 
@@ -130,10 +150,15 @@ proptest! {
         let handles: Vec<_> = mesh.points().iter().map(|&p| oracle.insert(ground(p)).unwrap()).collect();
         for _ in 0..segments {
             let (a, b) = (random.below(handles.len()), random.below(handles.len()));
-            let accepted = Constrainer::new(&mut mesh).insert(a as u32, b as u32, |_, _| ()).is_ok();
-            if a != b {
-                prop_assert_eq!(accepted, oracle.can_add_constraint(handles[a], handles[b]));
-                if accepted { oracle.add_constraint(handles[a], handles[b]); }
+            // A segment that passes a vertex very closely would take it in.
+            let passes = |&p: &Point| {
+                let [pa, pb] = [mesh.point(a as u32), mesh.point(b as u32)];
+                let length = f64::from(pb.x - pa.x).hypot(f64::from(pb.y - pa.y));
+                p != pa && p != pb && (orient2d(pa, pb, p) as f64).abs() < 2.0 * length
+            };
+            if a != b && !mesh.points().iter().any(passes) && oracle.can_add_constraint(handles[a], handles[b]) {
+                oracle.add_constraint(handles[a], handles[b]);
+                constrain(&mut mesh, a as u32, b as u32);
             }
         }
         let lattice = |p: Point2<f64>| Point { x: p.x as i32, y: p.y as i32 };
@@ -173,9 +198,8 @@ fn a_segment_between_two_jagged_shores_is_recovered() {
         }
         let a = mesh.insert(Point { x: 0, y: middle }, 0);
         let b = mesh.insert(Point { x: n * UNIT, y: middle }, 0);
-        let mut parts = 0;
-        Constrainer::new(&mut mesh).insert(a, b, |_, _| parts += 1).unwrap();
-        assert_eq!(parts, 1);
+        constrain(&mut mesh, a, b);
+        assert_eq!(constrained_edges(&mesh), BTreeSet::from([edge(mesh.point(a), mesh.point(b))]));
         assert_sound(&mesh, true);
     }
 }
@@ -184,7 +208,7 @@ fn a_segment_between_two_jagged_shores_is_recovered() {
 fn a_segment_from_a_vertex_to_itself_changes_nothing() {
     let mut mesh = Mesh::rectangle(5, 5, Metric::SQUARE);
     let before = triangle_set(&mesh);
-    Constrainer::new(&mut mesh).insert(2, 2, |_, _| panic!("no part")).unwrap();
+    constrain(&mut mesh, 2, 2);
     assert_eq!(triangle_set(&mesh), before);
     assert!(constrained_edges(&mesh).is_empty());
 }
@@ -199,7 +223,7 @@ fn edges_are_found_in_both_directions_and_on_the_border() {
         edges.extend([(a, b), (b, c), (c, a), (b, a), (c, b), (a, c)]);
     }
     let n = mesh.points().len() as u32;
-    let constrainer = Constrainer::new(&mut mesh);
+    let constrainer = Constrainer::new(&mut mesh, vec![f64::NAN; n as usize]);
     for (a, b) in (0..n).flat_map(|a| (0..n).map(move |b| (a, b))) {
         assert_eq!(constrainer.find_edge(a, b).is_some(), edges.contains(&(a, b)));
     }

@@ -9,6 +9,7 @@ use dem2tin_core::grid::Grid;
 use dem2tin_core::mesh::Mesh;
 use dem2tin_core::pipeline::Triangulation;
 use dem2tin_core::predicate::{orient2d, Point};
+use dem2tin_core::surface::Surface;
 use proptest::prelude::*;
 
 /// Corners and hat-function values of the first data triangle that holds each valid pixel.
@@ -97,16 +98,17 @@ proptest! {
     fn fitted_heights_solve_the_normal_equations(points in 4usize..60, voids: bool, seed: u64) {
         let (rows, cols) = (18, 15);
         let (z, done) = refined(rows, cols, points, voids, seed);
-        let mut heights = done.z.clone();
+        let mut fitted = done.surface.clone();
         let grid = Grid::new(&z, rows, cols).unwrap();
-        quietly(|progress| fit_heights(&done.mesh, &mut heights, &grid, progress)).unwrap();
-        let (before, after) = (gradient(&done.mesh, &done.z, &z, cols), gradient(&done.mesh, &heights, &z, cols));
+        quietly(|progress| fit_heights(&mut fitted, &grid, progress)).unwrap();
+        let heights = fitted.z;
+        let (before, after) = (gradient(&done.surface.mesh, &done.surface.z, &z, cols), gradient(&done.surface.mesh, &heights, &z, cols));
         prop_assert!(norm(&after) <= 1e-3 * norm(&before) + 1e-9, "{} {}", norm(&after), norm(&before));
-        for (got, want) in heights.iter().zip(solved(&done.mesh, &done.z, &z, cols)) {
+        for (got, want) in heights.iter().zip(solved(&done.surface.mesh, &done.surface.z, &z, cols)) {
             prop_assert!((got.is_nan() && want.is_nan()) || (got - want).abs() < 1e-2, "{} {}", got, want);
         }
-        let least = squares(&done.mesh, &heights, &z, cols);
-        prop_assert!(least <= squares(&done.mesh, &done.z, &z, cols) * (1.0 + 1e-12));
+        let least = squares(&done.surface.mesh, &heights, &z, cols);
+        prop_assert!(least <= squares(&done.surface.mesh, &done.surface.z, &z, cols) * (1.0 + 1e-12));
     }
 
     #[test]
@@ -115,20 +117,21 @@ proptest! {
         let (z, mut done) = refined(rows, cols, points, voids, seed);
         let grid = Grid::new(&z, rows, cols).unwrap();
         // Each triangle with its border, as the flips count.
-        let closed = |mesh: &Mesh| -> f64 {
+        let closed = |surface: &Surface| -> f64 {
+            let mesh = &surface.mesh;
             let error = |t: u32| -> f64 {
-                let (p, v) = (mesh.corners(t), mesh.triangle(t).v.map(|v| done.z[v as usize]));
+                let (p, v) = (mesh.corners(t), surface.heights(t));
                 let of = |i: usize| (common::interpolate(p, v, Point::pixel(i % cols, i / cols)) - z[i]).powi(2);
                 let inside = |i: &usize| !z[*i].is_nan() && contains(p, Point::pixel(i % cols, i / cols));
                 (0..z.len()).filter(inside).map(of).sum()
             };
             (0..mesh.triangles().len() as u32).filter(|&t| !mesh.triangle(t).is_void()).map(error).sum()
         };
-        let before = closed(&done.mesh);
-        let flips = quietly(|progress| flip_pass(&mut done.mesh, &done.z, &grid, progress)).unwrap();
-        let after = closed(&done.mesh);
+        let before = closed(&done.surface);
+        let flips = quietly(|progress| flip_pass(&mut done.surface, &grid, progress)).unwrap();
+        let after = closed(&done.surface);
         prop_assert!(if flips == 0 { after == before } else { after < before }, "{} {} {}", flips, before, after);
-        assert_sound(&done.mesh, false);
+        assert_sound(&done.surface.mesh, false);
     }
 }
 
@@ -138,10 +141,10 @@ fn a_plane_is_fitted_exactly_from_any_start() {
     let z: Vec<f64> = (0..rows * cols).map(|i| 2.0 * (i % cols) as f64 - (i / cols) as f64).collect();
     let (_, mut done) = refined(rows, cols, 40, false, 4);
     let mut random = Random(1);
-    done.z.iter_mut().for_each(|z| *z += 10.0 * random.normal());
+    done.surface.z.iter_mut().for_each(|z| *z += 10.0 * random.normal());
     let grid = Grid::new(&z, rows, cols).unwrap();
-    quietly(|progress| fit_heights(&done.mesh, &mut done.z, &grid, progress)).unwrap();
-    for (z, p) in done.z.iter().zip(done.mesh.points()) {
+    quietly(|progress| fit_heights(&mut done.surface, &grid, progress)).unwrap();
+    for (z, p) in done.surface.z.iter().zip(done.surface.mesh.points()) {
         let (col, row) = p.as_pixel().unwrap();
         assert!((z - (2.0 * col as f64 - row as f64)).abs() < 0.02);
     }
@@ -152,11 +155,11 @@ fn fitting_a_fitted_surface_hardly_moves_it() {
     let (z, mut done) = refined(30, 30, 80, true, 9);
     let grid = Grid::new(&z, 30, 30).unwrap();
     for _ in 0..3 {
-        quietly(|progress| fit_heights(&done.mesh, &mut done.z, &grid, progress)).unwrap();
+        quietly(|progress| fit_heights(&mut done.surface, &grid, progress)).unwrap();
     }
-    let before = done.z.clone();
-    quietly(|progress| fit_heights(&done.mesh, &mut done.z, &grid, progress)).unwrap();
-    for (after, before) in done.z.iter().zip(before) {
+    let before = done.surface.z.clone();
+    quietly(|progress| fit_heights(&mut done.surface, &grid, progress)).unwrap();
+    for (after, before) in done.surface.z.iter().zip(before) {
         assert!(after.is_nan() || (after - before).abs() < 1e-6);
     }
 }
@@ -170,7 +173,7 @@ fn all_stages_lower_the_error_of_the_bare_greedy() {
         let mut options = full(MAX, 150);
         options.despike = false;
         let best = run(&z, rows, cols, &options).unwrap();
-        let squares = |done: &Triangulation| squares(&done.mesh, &done.z, &z, cols);
+        let squares = |done: &Triangulation| squares(&done.surface.mesh, &done.surface.z, &z, cols);
         assert!(squares(&best) < 0.8 * squares(&bare));
         assert_ne!(fingerprint(&best), fingerprint(&bare));
     }

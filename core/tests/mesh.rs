@@ -4,7 +4,8 @@
 mod common;
 
 use common::{assert_sound, contains, form, sorted, triangle_set, Random, FORMS};
-use dem2tin_core::mesh::{Location, Mesh};
+use dem2tin_core::locate::Location;
+use dem2tin_core::mesh::Mesh;
 use dem2tin_core::predicate::{Metric, Point, UNIT};
 use proptest::prelude::*;
 use spade::{DelaunayTriangulation, Point2, Triangulation};

@@ -6,8 +6,8 @@ mod common;
 use common::{assert_sound, form, outlined, quietly, Random, FORMS};
 use dem2tin_core::error::Error;
 use dem2tin_core::grid::Grid;
+use dem2tin_core::locate::Location;
 use dem2tin_core::measure::rasterise;
-use dem2tin_core::mesh::Location;
 use dem2tin_core::predicate::{orient2d, Metric, Point, UNIT};
 use proptest::prelude::*;
 
@@ -48,7 +48,7 @@ fn assert_outlined(z: &[f32], rows: usize, cols: usize, metric: Metric) {
     let (expected, inside) = complex(z, rows, cols);
     let grid = Grid::new(z, rows, cols).unwrap();
     let mesh = match outlined(&grid, metric) {
-        Ok(mesh) => mesh,
+        Ok(surface) => surface.mesh,
         Err(error) => {
             assert!(matches!(error, Error::Input { code: "no-area", .. }), "{error:?}");
             return assert!(inside.is_empty());
@@ -182,17 +182,17 @@ fn diagonal_contact_islands_and_lines() {
 fn straight_borders_need_no_points_between_their_ends() {
     let z = masked(30, 50, |col, row| (10..40).contains(&col) && (5..=20).contains(&row));
     let grid = Grid::new(&z, 30, 50).unwrap();
-    assert_eq!(outlined(&grid, Metric::SQUARE).unwrap().points().len(), 4 + 4);
+    assert_eq!(outlined(&grid, Metric::SQUARE).unwrap().mesh.points().len(), 4 + 4);
     let z = masked(20, 20, |col, row| col >= row);
     let grid = Grid::new(&z, 20, 20).unwrap();
-    assert_eq!(outlined(&grid, Metric::SQUARE).unwrap().points().len(), 4);
+    assert_eq!(outlined(&grid, Metric::SQUARE).unwrap().mesh.points().len(), 4);
 }
 
 #[test]
 fn a_raster_without_voids_is_a_rectangle() {
     for (rows, cols) in [(2, 2), (2, 1000), (1000, 2), (300, 200)] {
         let z = vec![0.0f32; rows * cols];
-        let mesh = outlined(&Grid::new(&z, rows, cols).unwrap(), Metric::SQUARE).unwrap();
+        let mesh = outlined(&Grid::new(&z, rows, cols).unwrap(), Metric::SQUARE).unwrap().mesh;
         assert_eq!((mesh.points().len(), mesh.triangles().len()), (4, 2));
     }
 }

@@ -4,6 +4,7 @@
 mod common;
 
 use common::{assert_sound, fingerprint, full, hills, plain, residuals, run, Random, AUTO, MAX, PAPER};
+use dem2tin_core::domain::Constraints;
 use dem2tin_core::error::Error;
 use dem2tin_core::grid::{Grid, Height};
 use dem2tin_core::measure::{errors, rasterise};
@@ -26,15 +27,18 @@ fn assert_faithful<T: Height>(z: &[T], rows: usize, cols: usize, options: &Optio
     let grid = Grid::new(z, rows, cols).unwrap();
     match run(z, rows, cols, options) {
         Ok(done) => {
-            assert_sound(&done.mesh, done.report.delaunay);
+            assert_sound(&done.surface.mesh, done.report.delaunay);
             let mut area = 0;
-            for (t, triangle) in done.mesh.triangles().iter().enumerate().filter(|(_, t)| !t.is_void()) {
-                let [a, b, c] = done.mesh.corners(t as u32);
+            for (t, triangle) in
+                done.surface.mesh.triangles().iter().enumerate().filter(|(_, t)| !t.is_void())
+            {
+                let [a, b, c] = done.surface.mesh.corners(t as u32);
                 area += orient2d(a, b, c);
-                assert!(triangle.v.iter().all(|&v| done.z[v as usize].is_finite()));
+                assert!(triangle.v.iter().all(|&v| done.surface.z[v as usize].is_finite()));
             }
             assert!(area >= twice_area(&grid) * i64::from(UNIT) * i64::from(UNIT));
-            let (errors, _) = common::quietly(|p| errors(&done.mesh, &done.z, &grid, p)).unwrap();
+            let (errors, _) =
+                common::quietly(|p| errors(&done.surface.mesh, &done.surface.z, &grid, p)).unwrap();
             assert_eq!(errors.void_covered, 0);
         }
         Err(error) => {
@@ -78,8 +82,9 @@ fn terrain(rows: usize, cols: usize, voids: f64, seed: u64) -> Vec<f64> {
 
 fn same(a: &Triangulation, b: &Triangulation) -> bool {
     let structure = |done: &Triangulation| {
-        let corners: Vec<_> = done.mesh.triangles().iter().map(|t| (t.v, t.twin, t.is_void())).collect();
-        (done.mesh.points().to_vec(), corners)
+        let corners: Vec<_> =
+            done.surface.mesh.triangles().iter().map(|t| (t.v, t.twin, t.is_void())).collect();
+        (done.surface.mesh.points().to_vec(), corners)
     };
     structure(a) == structure(b)
 }
@@ -100,7 +105,7 @@ proptest! {
             fit: flags & 2 > 0,
             flips: flags >> 2 & 1,
             scales: if flags & 8 > 0 { Scales::Auto } else { Scales::Given(vec![[1.0; 2], [0.5, 0.0]]) },
-            initial: (0..n / 4).map(|i| (i * 7 % cols, i * 5 % rows)).collect(),
+            constraints: Constraints { pixels: (0..n / 4).map(|i| (i * 7 % cols, i * 5 % rows)).collect(), ..Constraints::default() },
             ..plain(Rule { priority, weight, candidate, tolerance, bound }, n)
         };
         assert_faithful(&z, rows, cols, &options);
@@ -158,7 +163,7 @@ proptest! {
             let (a, b) = (run(&z, rows, cols, &options(1.0)), run(&scaled, rows, cols, &options(factor)));
             if let (Ok(a), Ok(b)) = (a, b) {
                 prop_assert!(same(&a, &b));
-                prop_assert!(a.z.iter().zip(&b.z).all(|(a, b)| a.is_nan() || a * factor == *b));
+                prop_assert!(a.surface.z.iter().zip(&b.surface.z).all(|(a, b)| a.is_nan() || a * factor == *b));
             }
         }
     }
@@ -177,7 +182,7 @@ proptest! {
         let (a, b) = (run(&z, rows, cols, &full(AUTO, n)), run(&other, rows, cols, &full(AUTO, n)));
         if let (Ok(a), Ok(b)) = (a, b) {
             prop_assert!(same(&a, &b));
-            prop_assert!(a.z.iter().zip(&b.z).all(|(a, b)| a == b || a.is_nan() && b.is_nan()));
+            prop_assert!(a.surface.z.iter().zip(&b.surface.z).all(|(a, b)| a == b || a.is_nan() && b.is_nan()));
         }
     }
 
@@ -187,7 +192,7 @@ proptest! {
         for rule in [PAPER, MAX, AUTO] {
             let tolerant = Rule { tolerance: 1e-6, ..rule };
             let done = run(&z, rows, cols, &Options { fit: true, flips: 2, ..plain(tolerant, usize::MAX) }).unwrap();
-            prop_assert_eq!(done.mesh.triangles().len(), 2);
+            prop_assert_eq!(done.surface.mesh.triangles().len(), 2);
         }
     }
 
@@ -196,7 +201,7 @@ proptest! {
         let z = terrain(rows, cols, 0.1, seed);
         let grid = Grid::new(&z, rows, cols).unwrap();
         if let Ok(done) = run(&z, rows, cols, &full(AUTO, n)) {
-            let (report, largest) = common::quietly(|p| errors(&done.mesh, &done.z, &grid, p)).unwrap();
+            let (report, largest) = common::quietly(|p| errors(&done.surface.mesh, &done.surface.z, &grid, p)).unwrap();
             let plain = residuals(&done, &z, cols);
             let mut covered: Vec<f64> = plain.iter().copied().filter(|e| !e.is_nan()).collect();
             covered.sort_by(f64::total_cmp);
@@ -209,7 +214,7 @@ proptest! {
             prop_assert!((report.max - covered[covered.len() - 1]).abs() < 1e-9);
             prop_assert!((report.p95 - covered[(count * 0.95).ceil() as usize - 1]).abs() < 1e-4);
             prop_assert_eq!(largest.iter().copied().fold(0.0, f64::max), report.max);
-            let surface: Vec<f64> = common::quietly(|p| rasterise(&done.mesh, &done.z, rows, cols, p)).unwrap();
+            let surface: Vec<f64> = common::quietly(|p| rasterise(&done.surface.mesh, &done.surface.z, rows, cols, p)).unwrap();
             for (i, height) in surface.iter().enumerate() {
                 prop_assert_eq!(height.is_nan(), plain[i].is_nan());
                 prop_assert!(height.is_nan() || ((height - z[i]).abs() - plain[i]).abs() < 1e-9);
@@ -289,9 +294,9 @@ fn sheared_and_anisotropic_metrics_go_through_all_stages() {
     for (e, f, g) in [(1.0, 0.0, 1e-6), (900.0, 100.0, 30.0), (1e-9, -9e-10, 1e-9)] {
         let metric = Metric::from_form(e, f, g, 40).unwrap();
         let done = common::quietly(|p| triangulate(&grid, metric, &plain(MAX, 300), p)).unwrap();
-        assert_sound(&done.mesh, true);
+        assert_sound(&done.surface.mesh, true);
         let done = common::quietly(|p| triangulate(&grid, metric, &full(AUTO, 300), p)).unwrap();
-        assert_sound(&done.mesh, false);
+        assert_sound(&done.surface.mesh, false);
     }
 }
 
@@ -302,7 +307,7 @@ fn noise_on_a_plane_is_left_alone() {
     let options = Options { stop_at_noise: true, ..full(AUTO, usize::MAX) };
     let done = run(&z, 100, 100, &options).unwrap();
     assert_eq!(done.report.stop, Stop::Noise);
-    assert!(done.mesh.points().len() < 200, "{}", done.mesh.points().len());
+    assert!(done.surface.mesh.points().len() < 200, "{}", done.surface.mesh.points().len());
     let few = run(&z, 100, 100, &Options { max_points: 5, ..options }).unwrap();
-    assert_eq!(few.mesh.points().len(), 5);
+    assert_eq!(few.surface.mesh.points().len(), 5);
 }

@@ -59,9 +59,8 @@ fn long_work_can_be_cancelled_half_way() {
     let done = quietly(|p| triangulate(&grid, Metric::SQUARE, &full(AUTO, 9000), p)).unwrap();
     assert!(is_cancelled_within(|p| gaussian(&grid, [2.0, 2.0], p)));
     assert!(is_cancelled_within(|p| spikes(&grid, 0.0, p)));
-    assert!(is_cancelled_within(|p| fit_heights(&done.mesh, &mut done.z.clone(), &grid, p)));
-    assert!(is_cancelled_within(|p| errors(&done.mesh, &done.z, &grid, p)));
-    assert!(is_cancelled_within(|p| rasterise::<f32>(&done.mesh, &done.z, SIDE, SIDE, p)));
-    let mut mesh = done.mesh;
-    assert!(is_cancelled_within(|p| flip_pass(&mut mesh, &done.z, &grid, p)));
+    assert!(is_cancelled_within(|p| fit_heights(&mut done.surface.clone(), &grid, p)));
+    assert!(is_cancelled_within(|p| errors(&done.surface.mesh, &done.surface.z, &grid, p)));
+    assert!(is_cancelled_within(|p| rasterise::<f32>(&done.surface.mesh, &done.surface.z, SIDE, SIDE, p)));
+    assert!(is_cancelled_within(|p| flip_pass(&mut done.surface.clone(), &grid, p)));
 }

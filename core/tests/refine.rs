@@ -75,7 +75,7 @@ fn choices(z: &[f64], cols: usize, points: &[Point], rule: &Rule) -> Vec<(f64, P
 /// The core's vertices and triangles under the same metric.
 fn refined(z: &[f64], rows: usize, cols: usize, rule: &Rule, n: usize) -> (Refiner, Stop) {
     let grid = Grid::new(z, rows, cols).unwrap();
-    let mut refiner = Refiner::new(outlined(&grid, SKEW).unwrap(), &grid);
+    let mut refiner = Refiner::new(outlined(&grid, SKEW).unwrap());
     let stop = quietly(|progress| refiner.run(&grid, rule, n, progress)).unwrap();
     (refiner, stop)
 }
@@ -93,7 +93,7 @@ proptest! {
         let tight = Rule { tolerance: 0.4, ..PAPER };
         for rule in [PAPER, MAX, tight, AUTO, free] {
             let (refiner, stop) = refined(&z, rows, cols, &rule, 14);
-            let points = refiner.mesh.points();
+            let points = refiner.surface.mesh.points();
             for n in 4..points.len() {
                 let choices = choices(&z, cols, &points[..n], &rule);
                 let best = choices.iter().fold(0.0f64, |best, c| best.max(c.0));
@@ -102,7 +102,7 @@ proptest! {
             }
             prop_assert!(stop == Stop::Points || choices(&z, cols, points, &rule).is_empty());
             let triangles: BTreeSet<_> = delaunay(points, SKEW).into_iter().map(sorted).collect();
-            prop_assert_eq!(triangle_set(&refiner.mesh), triangles);
+            prop_assert_eq!(triangle_set(&refiner.surface.mesh), triangles);
         }
     }
 
@@ -127,9 +127,9 @@ proptest! {
     fn a_bound_of_the_median_holds_in_every_triangle(rows in 2usize..24, cols in 2usize..24, tolerance in 0.5f64..20.0, seed: u64) {
         let z = hills(rows, cols, seed);
         let done = run(&z, rows, cols, &plain(Rule { tolerance, ..PAPER }, usize::MAX)).unwrap();
-        for (t, triangle) in done.mesh.triangles().iter().enumerate() {
-            let p = done.mesh.corners(t as u32);
-            let heights = triangle.v.map(|v| done.z[v as usize]);
+        for (t, triangle) in done.surface.mesh.triangles().iter().enumerate() {
+            let p = done.surface.mesh.corners(t as u32);
+            let heights = triangle.v.map(|v| done.surface.z[v as usize]);
             let mut errors: Vec<f64> = (0..z.len())
                 .map(|i| (Point::pixel(i % cols, i / cols), z[i]))
                 .filter(|(q, _)| contains(p, *q) && !p.contains(q))
@@ -148,9 +148,9 @@ proptest! {
         let z: Vec<f64> = (0..rows * cols).map(|_| random.normal()).collect();
         for rule in [PAPER, MAX, AUTO] {
             let done = run(&z, rows, cols, &plain(rule, n)).unwrap();
-            prop_assert_eq!(done.mesh.points().len(), n.min(rows * cols));
+            prop_assert_eq!(done.surface.mesh.points().len(), n.min(rows * cols));
             prop_assert_eq!(done.report.stop, if n <= rows * cols { Stop::Points } else { Stop::Exact });
-            assert_sound(&done.mesh, true);
+            assert_sound(&done.surface.mesh, true);
         }
     }
 
@@ -158,7 +158,7 @@ proptest! {
     fn vertices_keep_the_heights_of_their_pixels(rows in 2usize..20, cols in 2usize..20, n in 4usize..100, seed: u64) {
         let z = hills(rows, cols, seed);
         let done = run(&z, rows, cols, &plain(PAPER, n)).unwrap();
-        for (p, height) in done.mesh.points().iter().zip(&done.z) {
+        for (p, height) in done.surface.mesh.points().iter().zip(&done.surface.z) {
             let (col, row) = p.as_pixel().unwrap();
             prop_assert_eq!(*height, z[row * cols + col]);
         }
@@ -180,10 +180,10 @@ fn each_scale_adds_at_most_its_points() {
     options.scales = Scales::Given(vec![[2.0; 2], [1.0; 2], [0.0; 2]]);
     options.points_per_scale = 50;
     let done = run(&z, rows, cols, &options).unwrap();
-    assert_eq!(done.mesh.points().len(), 4 + 3 * 50);
+    assert_eq!(done.surface.mesh.points().len(), 4 + 3 * 50);
     options.max_points = 100;
-    assert_eq!(run(&z, rows, cols, &options).unwrap().mesh.points().len(), 100);
-    assert_sound(&done.mesh, true);
+    assert_eq!(run(&z, rows, cols, &options).unwrap().surface.mesh.points().len(), 100);
+    assert_sound(&done.surface.mesh, true);
 }
 
 fn place_set(points: &[Point]) -> BTreeSet<Point> {
@@ -195,15 +195,18 @@ fn initial_points_are_vertices_once() {
     let (rows, cols) = (20, 20);
     let z = hills(rows, cols, 5);
     let mut options = plain(PAPER, 7);
-    options.initial = vec![(3, 4), (0, 0), (3, 4), (19, 7), (10, 10), (19, 19)];
+    options.constraints.pixels = vec![(3, 4), (0, 0), (3, 4), (19, 7), (10, 10), (19, 19)];
     let done = run(&z, rows, cols, &options).unwrap();
     let expected = [(0, 0), (19, 0), (19, 19), (0, 19), (3, 4), (19, 7), (10, 10)];
-    assert_eq!(done.mesh.points().len(), 7);
-    assert_eq!(place_set(done.mesh.points()), expected.map(|(col, row)| Point::pixel(col, row)).into());
+    assert_eq!(done.surface.mesh.points().len(), 7);
+    assert_eq!(
+        place_set(done.surface.mesh.points()),
+        expected.map(|(col, row)| Point::pixel(col, row)).into()
+    );
     options.max_points = 60;
     let done = run(&z, rows, cols, &options).unwrap();
-    assert_eq!(done.mesh.points().len(), 60);
-    assert_sound(&done.mesh, true);
+    assert_eq!(done.surface.mesh.points().len(), 60);
+    assert_sound(&done.surface.mesh, true);
 }
 
 #[test]
@@ -213,7 +216,7 @@ fn points_beyond_what_the_outline_needs_are_not_added() {
     let bare = run(&z, 30, 30, &plain(MAX, 0)).unwrap();
     let grid = Grid::new(&z, 30, 30).unwrap();
     let outline = outlined(&grid, Metric::SQUARE).unwrap();
-    assert_eq!(place_set(bare.mesh.points()), place_set(outline.points()));
+    assert_eq!(place_set(bare.surface.mesh.points()), place_set(outline.mesh.points()));
     assert_eq!(bare.report.stop, Stop::Outline);
     assert_eq!(fingerprint(&bare), fingerprint(&run(&z, 30, 30, &plain(MAX, 4)).unwrap()));
 }

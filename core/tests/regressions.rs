@@ -4,6 +4,7 @@
 mod common;
 
 use common::{assert_sound, hills, plain, quietly, residuals, run, AUTO, MAX};
+use dem2tin_core::domain::Constraints;
 use dem2tin_core::error::Error;
 use dem2tin_core::grid::Grid;
 use dem2tin_core::pipeline::{Options, Scales};
@@ -43,7 +44,10 @@ fn a_spike_between_voids_is_found() {
 fn initial_points_outside_the_raster_are_refused() {
     let z = hills(40, 50, 2);
     for outside in [(50, 3), (3, 40), (usize::MAX, 0)] {
-        let options = Options { initial: vec![outside], ..plain(MAX, 20) };
+        let options = Options {
+            constraints: Constraints { pixels: vec![outside], ..Constraints::default() },
+            ..plain(MAX, 20)
+        };
         assert!(matches!(run(&z, 40, 50, &options), Err(Error::Option { code: "bad-option", .. })));
     }
 }
@@ -60,7 +64,7 @@ fn heights_that_overflow_are_refused() {
 #[test]
 fn what_fits_exactly_gets_no_points() {
     let done = run(&[7.5; 2500], 50, 50, &plain(MAX, 1000)).unwrap();
-    assert_eq!(done.mesh.triangles().len(), 2);
+    assert_eq!(done.surface.mesh.triangles().len(), 2);
 }
 
 #[test]
@@ -74,6 +78,6 @@ fn isolated_corner_pixels_do_not_count_as_points() {
         }
     }
     let done = run(&z, 30, 30, &plain(MAX, 60)).unwrap();
-    assert_sound(&done.mesh, true);
-    assert_eq!(done.z.iter().filter(|z| !z.is_nan()).count(), 60);
+    assert_sound(&done.surface.mesh, true);
+    assert_eq!(done.surface.z.iter().filter(|z| !z.is_nan()).count(), 60);
 }

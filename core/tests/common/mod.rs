@@ -2,14 +2,16 @@
 #![allow(dead_code)]
 
 use dem2tin_core::check::check;
+use dem2tin_core::domain::{domain, Constraints};
 use dem2tin_core::error::Result;
 use dem2tin_core::grid::{Grid, Height};
 use dem2tin_core::mesh::Mesh;
-use dem2tin_core::outline::outline_mesh;
+use dem2tin_core::outline::Shape;
 use dem2tin_core::pipeline::{triangulate, Options, Scales, Triangulation};
 use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::progress::Progress;
 use dem2tin_core::refine::Rule;
+use dem2tin_core::surface::Surface;
 use std::collections::BTreeSet;
 
 pub const PAPER: Rule = Rule { priority: 0.5, weight: 0.0, candidate: 0.5, tolerance: 0.0, bound: 0.5 };
@@ -67,7 +69,8 @@ pub fn plain(rule: Rule, max_points: usize) -> Options {
         despike: false,
         fit: false,
         flips: 0,
-        initial: Vec::new(),
+        shape: Shape::default(),
+        constraints: Constraints::default(),
     }
 }
 
@@ -81,8 +84,9 @@ pub fn run<T: Height>(z: &[T], rows: usize, cols: usize, options: &Options) -> R
     quietly(|progress| triangulate(&grid, Metric::SQUARE, options, progress))
 }
 
-pub fn outlined<T: Height>(grid: &Grid<T>, metric: Metric) -> Result<Mesh> {
-    quietly(|progress| outline_mesh(grid, metric, progress))
+/// The surface before refinement, without constraints.
+pub fn outlined<T: Height>(grid: &Grid<T>, metric: Metric) -> Result<Surface> {
+    quietly(|progress| domain(grid, metric, &Shape::default(), &Constraints::default(), progress))
 }
 
 /// Smooth hills with a little noise.
@@ -114,8 +118,8 @@ pub fn triangle_set(mesh: &Mesh) -> BTreeSet<[Point; 3]> {
 
 /// Everything that a result consists of, comparable.
 pub fn fingerprint(done: &Triangulation) -> (Vec<Point>, Vec<[u32; 3]>, Vec<u64>) {
-    let corners = done.mesh.triangles().iter().map(|t| t.v).collect();
-    (done.mesh.points().to_vec(), corners, done.z.iter().map(|z| z.to_bits()).collect())
+    let corners = done.surface.mesh.triangles().iter().map(|t| t.v).collect();
+    (done.surface.mesh.points().to_vec(), corners, done.surface.z.iter().map(|z| z.to_bits()).collect())
 }
 
 pub fn contains([a, b, c]: [Point; 3], q: Point) -> bool {
@@ -133,9 +137,9 @@ pub fn interpolate([a, b, c]: [Point; 3], z: [f64; 3], q: Point) -> f64 {
 /// by testing every pixel against every triangle.
 pub fn residuals(done: &Triangulation, z: &[f64], cols: usize) -> Vec<f64> {
     let mut largest = vec![f64::NAN; z.len()];
-    for (t, triangle) in done.mesh.triangles().iter().enumerate().filter(|(_, t)| !t.is_void()) {
-        let p = done.mesh.corners(t as u32);
-        let heights = triangle.v.map(|v| done.z[v as usize]);
+    for (t, triangle) in done.surface.mesh.triangles().iter().enumerate().filter(|(_, t)| !t.is_void()) {
+        let p = done.surface.mesh.corners(t as u32);
+        let heights = triangle.v.map(|v| done.surface.z[v as usize]);
         for (i, &z) in z.iter().enumerate() {
             let q = Point::pixel(i % cols, i / cols);
             if contains(p, q) {

@@ -1,0 +1,83 @@
+//! A mesh whose vertices have heights.
+
+use crate::grid::{Grid, Height};
+use crate::locate::Location;
+use crate::mesh::Mesh;
+use crate::predicate::Point;
+
+#[derive(Clone)]
+pub struct Surface {
+    pub mesh: Mesh,
+    /// Height of every vertex; NaN for scaffolding that only void triangles use.
+    pub z: Vec<f64>,
+    /// Vertices that keep their height whatever the data are.
+    pub is_fixed: Vec<bool>,
+}
+
+impl Surface {
+    /// `fixed`: the height that each vertex has to keep, NaN where it takes that of
+    /// `grid`.
+    pub fn new<T: Height>(mesh: Mesh, fixed: Vec<f64>, grid: &Grid<T>) -> Self {
+        let is_fixed: Vec<bool> = fixed.iter().map(|z| !z.is_nan()).collect();
+        let mut surface = Surface { mesh, z: fixed, is_fixed };
+        let mut is_used = vec![false; surface.z.len()];
+        for v in surface.mesh.triangles().iter().filter(|t| !t.is_void()).flat_map(|t| t.v) {
+            is_used[v as usize] = true;
+        }
+        for (v, is_used) in is_used.into_iter().enumerate() {
+            surface.z[v] = match (is_used, surface.is_fixed[v]) {
+                (false, _) => f64::NAN,
+                (true, true) => surface.z[v],
+                (true, false) => grid.interpolate(surface.mesh.point(v as u32)),
+            };
+        }
+        surface
+    }
+
+    /// Gives every vertex that is free the height of `grid`.
+    pub fn sample<T: Height>(&mut self, grid: &Grid<T>) {
+        for ((z, p), is_fixed) in self.z.iter_mut().zip(self.mesh.points()).zip(&self.is_fixed) {
+            if !z.is_nan() && !is_fixed {
+                *z = grid.interpolate(*p);
+            }
+        }
+    }
+
+    /// Vertices without data, which are in no output.
+    pub fn count_scaffolding(&self) -> usize {
+        self.z.iter().filter(|z| z.is_nan()).count()
+    }
+
+    /// Heights of the corners of triangle `t`.
+    pub fn heights(&self, t: u32) -> [f64; 3] {
+        self.mesh.triangle(t).v.map(|v| self.z[v as usize])
+    }
+
+    /// Inserts a pixel whose place has been found; a vertex on a hard edge gets the
+    /// height of the edge, any other that of `grid`.
+    pub fn insert_pixel<T: Height>(&mut self, (col, row): (usize, usize), place: Location, grid: &Grid<T>) {
+        let p = Point::pixel(col, row);
+        let along = match place {
+            Location::Edge(h) if self.mesh.is_hard(h) => {
+                let [a, b] = [self.mesh.origin(h), self.mesh.dest(h)];
+                let (pa, pb) = (self.mesh.point(a), self.mesh.point(b));
+                Some(lerp((pa, self.z[a as usize]), (pb, self.z[b as usize]), p))
+            }
+            _ => None,
+        };
+        let v = self.mesh.insert_at(p, place) as usize;
+        if v == self.z.len() {
+            self.z.push(along.unwrap_or_else(|| grid.at(col, row)));
+            self.is_fixed.push(along.is_some());
+        }
+    }
+}
+
+/// Height at `p`, on or beside the segment, of the straight line between two points
+/// with heights.
+pub fn lerp((a, za): (Point, f64), (b, zb): (Point, f64), p: Point) -> f64 {
+    let (dx, dy) = (f64::from(b.x - a.x), f64::from(b.y - a.y));
+    let along = f64::from(p.x - a.x) * dx + f64::from(p.y - a.y) * dy;
+    let share = along / (dx * dx + dy * dy);
+    za + share * (zb - za)
+}
