@@ -51,7 +51,7 @@ def points(value: Any, crs: CRS | None, *, label: str = "points", allow_remote: 
     Raises:
         InputError: "not-points", "bad-features", "bad-crs", and the codes of `vector.read`.
     """
-    found = _gather(value, crs, shapes.POINTS, label, allow_remote)
+    found = gather(value, crs, shapes.POINTS, label, allow_remote)
     return _finite(found)[0]
 
 
@@ -69,7 +69,7 @@ def lines(
     Raises:
         InputError: "not-lines", "bad-features", "bad-crs", and the codes of `vector.read`.
     """
-    found = _gather(value, crs, shapes.LINE, label, allow_remote)
+    found = gather(value, crs, shapes.LINE, label, allow_remote)
     xyz, path, place = _finite(found)
     starts = np.r_[True, (np.diff(path) != 0) | (np.diff(place) != 1)][: len(xyz)]
     return _split(*_without_repeats(xyz, np.cumsum(starts) - 1), at_least=2)
@@ -89,7 +89,7 @@ def areas(
     Raises:
         InputError: "not-polygons", "bad-features", "bad-crs", and the codes of `vector.read`.
     """
-    found = _gather(value, crs, shapes.EXTERIOR, label, allow_remote)
+    found = gather(value, crs, shapes.EXTERIOR, label, allow_remote)
     if not len(found.xyz):
         return []
     try:
@@ -112,8 +112,11 @@ def to_pixels(dem: DEM, xyz: Coordinates) -> Coordinates:
     return np.column_stack([*dem.map_to_pixel(xyz[:, 0], xyz[:, 1]), xyz[:, 2]])
 
 
-def _gather(value: Any, crs: CRS | None, kind: int, label: str, allow_remote: bool) -> Shapes:
-    """The shapes of any value, transformed; `kind` is the one needed, and that of plain arrays."""
+def gather(value: Any, crs: CRS | None, kind: int, label: str, allow_remote: bool = False) -> Shapes:
+    """The shapes of any value, transformed, before cleaning; what cannot be transformed is infinite.
+
+    `kind` is the one needed, POINTS, LINE or EXTERIOR, and that of plain arrays.
+    """
     if isinstance(value, (str, os.PathLike)):
         label = os.fsdecode(value)
         found, own = vector.read(label, allow_remote=allow_remote)
@@ -148,7 +151,7 @@ def _collected(value: Any, crs: CRS | None, kind: int, label: str, allow_remote:
         raise InputError("bad-features", f"{label}: {_told(value)} holds texts; give {_KNOWN}")
     if kind == shapes.EXTERIOR:
         items = [[item] if _depth(item) == 3 else item for item in items]  # one polygon, not several
-    return shapes.concatenate([_gather(item, crs, kind, label, allow_remote) for item in items])
+    return shapes.concatenate([gather(item, crs, kind, label, allow_remote) for item in items])
 
 
 def _is_series(value: Any) -> bool:
@@ -234,8 +237,6 @@ def _transformed(found: Shapes, own: CRS | None, crs: CRS | None, label: str) ->
     if own is None or crs is None or not finite.any() or _is_same(own.horizontal, crs.horizontal):
         return found
     x, y = _transform(own.horizontal, crs.horizontal, found.xyz[finite, :2].T, label)
-    if not (np.isfinite(x) & np.isfinite(y)).any():
-        raise InputError("bad-crs", f"{label}: no coordinate can be transformed from {own} to {crs}")
     xyz = found.xyz.copy()
     xyz[finite, 0], xyz[finite, 1] = x, y
     return replace(found, xyz=xyz)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from tin import reader, sources
 from tin.crs import CRS
 from tin.errors import InputError
-from tin.shapes import Collector, Shapes
+from tin.shapes import POINTS, Collector, Shapes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -61,10 +61,14 @@ def read(source: str, *, allow_remote: bool = False) -> tuple[Shapes, CRS | None
 
 
 def read_points(source: str, crs: CRS | None) -> npt.NDArray[np.float64]:
-    """The (n, 2) map x and y of the points of a vector file, in the CRS of the DEM; see `features.points`."""
+    """The (n, 2) map x and y of the points of a vector file, in the CRS of the DEM; see `features.points`.
+
+    Points that cannot be transformed are infinitely far away, so that they count among those outside.
+    """
     from tin import features
 
-    return features.points(source, crs)[:, :2]
+    found = features.gather(source, crs, POINTS, "points").xyz[:, :2]
+    return found[~np.isnan(found).any(axis=1)]
 
 
 def _split(source: str) -> tuple[str, str | None]:
