@@ -1,7 +1,10 @@
-"""Points from vector files."""
+"""Points, lines and polygons from vector files."""
 
 from __future__ import annotations
 
+import sqlite3
+import zipfile
+from contextlib import closing
 from pathlib import Path
 
 import geopandas
@@ -12,7 +15,7 @@ from terrain import dem
 from test_cli import JACKSBORO, run
 
 import tin
-from tin import vector
+from tin import shapes, vector
 
 UTM = "EPSG:32610"
 
@@ -63,15 +66,116 @@ def test_what_is_not_points_is_refused(tmp_path):
     geopandas.GeoDataFrame(geometry=[shapely.LineString([(0, 0), (1, 1)])], crs=UTM).to_file(
         lines, engine="fiona"
     )
-    for source, code in [
-        (str(lines), "not-points"),
-        (f"{lines}:roads", "no-layer"),
-        (str(tmp_path / "nothing.gpkg"), "not-found"),
-        (__file__, "not-a-vector"),
-    ]:
-        with pytest.raises(tin.InputError) as caught:
-            vector.read_points(source, None)
-        assert caught.value.code == code
+    refused(lines, "not-points", vector.read_points)
+
+
+def refused(source: object, code: str, function: object = None) -> str:
+    with pytest.raises(tin.InputError) as caught:
+        (function or (lambda name, _: vector.read(name)))(str(source), None)
+    assert caught.value.code == code
+    return str(caught.value)
+
+
+def test_what_is_no_layer_of_a_vector_file(tmp_path):
+    path = write(tmp_path / "p.gpkg", np.zeros((1, 2)), UTM, layer="here")
+    assert "no layer 'roads'; there are here" in refused(f"{path}:roads", "no-layer")
+    refused(f"{path}:", "no-layer")
+    refused(f"{path}:x/y", "no-layer")
+    for name in ("nothing.gpkg", "nothing.gpkg:here", "", ":here", "a" * 5000, "a\0b"):
+        refused(tmp_path / name if name not in ("", ":here") else name, "not-found")
+    assert r"C:\nothing.gpkg: no such file" in refused(r"C:\nothing.gpkg", "not-found")
+    assert r"C:\nothing.gpkg: no such file" in refused(r"C:\nothing.gpkg:here", "not-found")
+    refused(__file__, "not-a-vector")
+    refused(JACKSBORO, "not-a-vector")
+    (tmp_path / "empty.gpkg").write_bytes(b"")
+    refused(tmp_path / "empty.gpkg", "not-a-vector")
+    (tmp_path / "cut.gpkg").write_bytes(path.read_bytes()[:5000])
+    refused(tmp_path / "cut.gpkg", "not-a-vector")
+    (tmp_path / "table.csv").write_text("a,b\n1,2\n")
+    assert "a table without geometries" in refused(tmp_path / "table.csv", "not-a-vector")
+
+
+def test_the_network_is_refused(tmp_path):
+    for name in (
+        "https://example.invalid/p.gpkg",
+        "/vsicurl/https://example.invalid/p.gpkg:a",
+        "s3://b/p.gpkg",
+    ):
+        refused(name, "remote")
+    path = tmp_path / "p.vrt"
+    path.write_text(
+        '<OGRVRTDataSource><OGRVRTLayer name="a"><SrcDataSource>/vsicurl/http://127.0.0.1:9/a.gpkg'
+        "</SrcDataSource></OGRVRTLayer></OGRVRTDataSource>"
+    )
+    refused(path, "remote")
+    refused(f"{path}:a", "remote")
+    with pytest.raises(tin.InputError) as caught:
+        vector.read("/vsicurl/http://127.0.0.1:9/a.gpkg", allow_remote=True)
+    assert caught.value.code == "not-a-vector"
+
+
+@pytest.mark.parametrize("name", ["zip:p", "höhe über:NN #1 %", "a!b", "C:p?x=1&y", " p "])
+def test_names_of_files_and_layers_are_odd(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / f"{name}.gpkg", np.array([[1, 2]]), UTM, layer="Höhen: alle")
+    for source in (f"{name}.gpkg", f"{name}.gpkg:Höhen: alle", str(tmp_path / f"{name}.gpkg")):
+        found, crs = vector.read(source)
+        np.testing.assert_array_equal(found.xyz[:, :2], [[1, 2]])
+        assert crs.code == UTM
+
+
+def test_an_archive_and_a_folder_are_read(tmp_path):
+    write(tmp_path / "p.shp", np.array([[1, 2]]), UTM)
+    with zipfile.ZipFile(tmp_path / "p.zip", "w") as archive:
+        for suffix in ("shp", "shx", "dbf", "prj"):
+            archive.write(tmp_path / f"p.{suffix}", f"p.{suffix}")
+    for source in (
+        tmp_path,
+        f"{tmp_path}:p",
+        f"/vsizip/{tmp_path}/p.zip",
+        f"/vsizip/{tmp_path}/p.zip/p.shp:p",
+    ):
+        np.testing.assert_array_equal(vector.read(str(source))[0].xyz[:, :2], [[1, 2]])
+
+
+def test_a_shapefile_cut_short_is_refused(tmp_path, capfd):
+    path = write(tmp_path / "p.shp", np.arange(100.0).reshape(50, 2), UTM)
+    path.write_bytes(path.read_bytes()[:700])
+    assert "damaged or incomplete" in refused(path, "unreadable")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_every_type_of_geometry(tmp_path):
+    wkts = [
+        "POINT EMPTY", "POINT (0 0)", "POINT ZM (1 2 3 4)", "POINT M (5 6 7)", "MULTIPOINT EMPTY",
+        "LINESTRING EMPTY", "LINESTRING (1 1)", "LINESTRING ZM (1 2 3 4, 5 6 7 8)",
+        "COMPOUNDCURVE (CIRCULARSTRING (0 0, 1 1, 2 0), (2 0, 3 0))",
+        "CURVEPOLYGON (CIRCULARSTRING (0 0, 1 1, 2 0, 1 -1, 0 0))",
+        "GEOMETRYCOLLECTION (POINT (8 9), GEOMETRYCOLLECTION (POLYGON ((0 0, 1 0, 1 1, 0 0))))",
+        "TIN Z (((0 0 0, 0 1 0, 1 1 0, 0 0 0)))",
+    ]  # fmt: skip
+    path = tmp_path / "g.csv"
+    path.write_text("id,WKT\n" + "".join(f'{i},"{wkt}"\n' for i, wkt in enumerate(wkts)))
+    found, crs = vector.read(str(path))
+    assert crs is None
+    # fiona gives (0, 0) for an empty point; only the real one counts, and it comes last.
+    points = found.xyz[(found.kinds == shapes.POINTS)[found.path_of_vertex]]
+    np.testing.assert_array_equal(points[[0, 1, -1]], [[1, 2, 3], [5, 6, np.nan], [0, 0, np.nan]])
+    assert len(points) == 4
+    lines = found.sizes[found.kinds == shapes.LINE].tolist()
+    assert lines[:3] == [0, 1, 2]
+    assert lines[3] > 20
+    arc = found.xyz[found.path_of_vertex == np.flatnonzero(found.sizes == lines[3])[0]]
+    np.testing.assert_allclose(np.hypot(arc[:-1, 0] - 1, arc[:-1, 1]), 1)
+    assert (found.sizes[found.kinds == shapes.EXTERIOR][1:] == 4).all()
+
+
+def test_an_undefined_crs_is_none(tmp_path):
+    path = write(tmp_path / "p.gpkg", np.array([[1, 2]]), UTM)
+    for number in (0, -1):
+        with closing(sqlite3.connect(path)) as database, database:
+            database.execute("update gpkg_geometry_columns set srs_id = ?", (number,))
+        assert vector.read(str(path))[1] is None
 
 
 def test_points_on_the_command_line(tmp_path):

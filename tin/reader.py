@@ -56,7 +56,7 @@ def open(
             and the codes of `DEM.from_rasterio`.
     """
     name = os.fspath(path)
-    if not allow_remote and _REMOTE.search(name):
+    if not allow_remote and is_remote(name):
         raise _remote(name, "is remote")
     head = _head(name)
     if not allow_remote and head:
@@ -97,9 +97,7 @@ def source_files(name: str) -> list[Path]:
     try:
         import rasterio
 
-        if _REMOTE.search(name):
-            raise _remote(name, "is remote")
-        _check_sources(Path(name), name, set())
+        refuse_remote(name)
         with warnings.catch_warnings(), rasterio.Env(CPL_VSIL_CURL_ALLOWED_FILENAME="-"):
             warnings.simplefilter("ignore")
             with rasterio.open(name) as dataset:
@@ -107,6 +105,18 @@ def source_files(name: str) -> list[Path]:
     except Exception:  # noqa: BLE001 - whatever is wrong with the file, reading it will say so
         names.discard("")
     return [Path(part) for part in sorted(names) if part and _is_file(Path(part))]
+
+
+def is_remote(name: str) -> bool:
+    """Whether a file or GDAL dataset name leads to the network."""
+    return _REMOTE.search(name) is not None
+
+
+def refuse_remote(name: str) -> None:
+    """Raise InputError ("remote") for a name that leads to the network, and for a VRT that does."""
+    if is_remote(name):
+        raise _remote(name, "is remote")
+    _check_sources(Path(name), name, set())
 
 
 def _head(name: str) -> bytes:
