@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from tin.crs import CRS, UTM
 from tin.errors import OptionError
 
 if TYPE_CHECKING:
@@ -165,6 +166,12 @@ def _factor(value: Any) -> float:
     return number
 
 
+def _crs(value: Any) -> Any:
+    if isinstance(value, str) and value.strip().lower() == UTM:
+        return UTM
+    return CRS.parse(value)
+
+
 def _method(value: Any) -> str:
     name = str(value).strip().lower()
     if name not in METHODS:
@@ -295,6 +302,13 @@ OPTIONS: tuple[Option, ...] = (
         group="input",
         is_flag=True,
         advanced=True,
+    ),
+    Option(
+        "to_crs",
+        _crs,
+        "put the TIN into another CRS, or (utm) into the UTM zone of the DEM's centre; heights stay",
+        metavar="EPSG:N|utm",
+        group="output",
     ),
     Option(
         "y_up",
