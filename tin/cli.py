@@ -145,7 +145,7 @@ def run(given: argparse.Namespace) -> None:
             print(f"dem2tin: {outside} of {len(points)} points lie outside the DEM", file=sys.stderr)
     mesh = triangulate(dem, points=points, progress=bar, **method)
     if crs is not None:
-        bar("to_crs", 0.0)
+        bar("reproject", 0.0)
         mesh = mesh.to_crs(crs)
     for path in given.outputs:
         bar(f"write {Path(path).name}", 0.0)

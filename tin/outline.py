@@ -48,12 +48,13 @@ def _twins(triangles: npt.NDArray[Any]) -> Numbers:
     """Return (3 m,) the same edge in the neighbouring triangle, -1 where there is none."""
     start = triangles.astype(np.int64)
     end = np.roll(start, -1, axis=1)
-    count = int(start.max(initial=0)) + 1
-    forward, backward = (start * count + end).ravel(), (end * count + start).ravel()
-    order = np.argsort(forward)
-    place = np.minimum(np.searchsorted(forward, backward, sorter=order), len(order) - 1)
-    twin = order[place]
-    return np.where(forward[twin] == backward, twin, -1)
+    key = (np.minimum(start, end) * (int(start.max(initial=0)) + 1) + np.maximum(start, end)).ravel()
+    order = np.argsort(key)
+    is_pair = np.diff(key[order]) == 0
+    one, other = order[:-1][is_pair], order[1:][is_pair]
+    twin = np.full(len(key), -1)
+    twin[one], twin[other] = other, one
+    return twin
 
 
 def _parts(twin: Numbers) -> Numbers:
