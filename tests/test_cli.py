@@ -127,10 +127,17 @@ def test_a_tolerance_holds_in_the_written_raster(tmp_path):
         ([JACKSBORO, "x.gpkg", "--method", "best"], 2, "auto, median, max"),
         ([JACKSBORO, "x.gpkg", "--no-such"], 2, "--no-such"),
         ([JACKSBORO, "x.gpkg", "--band", "2"], 3, "band"),
+        ([JACKSBORO, "x.gpkg", "--to-crs", "EPSG:999999"], 2, "--to-crs"),
+        ([JACKSBORO, "x.gpkg", "--to-crs", "EPSG:5703"], 3, "neither projected nor geographic"),
+        (["plain.pgm", "x.gpkg", "--to-crs", "utm"], 3, "has no CRS"),
+        ([JACKSBORO, "x.gpkg", "--outline", "x.tif"], 4, "unknown suffix"),
+        ([JACKSBORO, "x.gpkg", "--outline", "x.gpkg"], 4, "twice"),
+        ([JACKSBORO, "x.gpkg", "--outline", "taken.gpkg"], 4, "exists already"),
     ],
 )
 def test_a_mistake_gets_one_line_and_the_right_exit_code(tmp_path, arguments, code, words):
     (tmp_path / "taken.gpkg").write_text("mine")
+    (tmp_path / "plain.pgm").write_text("P2 3 3 9\n1 2 3\n4 5 6\n7 8 9\n")
     before = sorted(tmp_path.iterdir())
     done = run(*arguments, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(SAMPLES.parent)})
     assert done.returncode == code
@@ -238,6 +245,52 @@ def test_error_map_is_written_and_guarded(tmp_path):
     again = run(JACKSBORO, tmp_path / "y.tif", "--error-map", tmp_path / "e.tif")
     assert again.returncode == 4
     assert "exists already" in again.stderr
+
+
+@pytest.fixture(scope="module")
+def degrees(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("in") / "degrees.tif"
+    profile = {"driver": "GTiff", "width": 50, "height": 40, "count": 1, "dtype": "float32"}
+    transform = rasterio.Affine(1 / 1200, 0.0, -84.3, 0.0, -1 / 1200, 36.5)
+    with rasterio.open(path, "w", transform=transform, crs="EPSG:4326", **profile) as file:
+        file.write(hills(40, 50).astype("float32"), 1)
+        file.set_band_unit(1, "ft")
+    return path
+
+
+def test_another_crs_and_the_outline(tmp_path, degrees):
+    outputs = [tmp_path / name for name in ("x.obj", "x.tif", "x.gpkg")]
+    options = ["--to-crs", "utm", "--z-factor", "0.3048", "--outline", tmp_path / "outline.gpkg"]
+    done = run(degrees, *outputs, *options, "--error-map", tmp_path / "e.tif", "--json", "-")
+    assert done.returncode == 0, done.stderr
+    assert "warning" not in done.stderr
+    report = json.loads(done.stdout)
+    assert report["crs"] == "EPSG:32616"
+    assert report["warnings"] == []
+    for name in ("x.tif", "e.tif"):
+        with rasterio.open(tmp_path / name) as file:
+            assert file.crs.to_epsg() == 32616
+            assert file.units == ("metre",)
+    triangles, outline = (pyogrio.read_dataframe(tmp_path / name) for name in ("x.gpkg", "outline.gpkg"))
+    assert triangles.crs.to_epsg() == outline.crs.to_epsg() == 32616
+    assert len(triangles) == report["triangles"]
+    assert outline.area.sum() == pytest.approx(triangles.area.sum(), rel=1e-9)
+    vertices, _ = read_obj(tmp_path / "x.obj")
+    assert triangles.total_bounds == pytest.approx([*vertices.min(0)[:2], *vertices.max(0)[:2]])
+
+
+@pytest.mark.parametrize(("suffix", "warned"), [("obj", True), ("nc", True), ("gpkg", False), ("tif", False)])
+def test_units_that_do_not_fit_are_warned_of_where_it_matters(tmp_path, degrees, suffix, warned):
+    done = run(degrees, tmp_path / f"x.{suffix}", "--json", tmp_path / "x.json")
+    assert done.returncode == 0
+    warnings = json.loads((tmp_path / "x.json").read_text())["warnings"]
+    assert len(warnings) == warned
+    assert done.stderr == "".join(f"dem2tin: warning: {warning}\n" for warning in warnings)
+    if warned:
+        assert "--to-crs utm" in warnings[0]
+        assert "--z-factor 0.3048" in warnings[0]
+    again = run(degrees, tmp_path / f"x.{suffix}", "--overwrite", "--quiet")
+    assert again.stderr == ""
 
 
 def test_help_names_every_option():

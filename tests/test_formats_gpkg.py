@@ -11,9 +11,11 @@ import pyogrio
 import pyproj
 import pytest
 import shapely
-from fakes import FakeCRS, crs, grid_tin
+from fakes import UTM, FakeCRS, crs, grid_tin
 from numpy.testing import assert_array_equal
 
+import tin as package
+from tin import formats
 from tin.errors import OutputError
 from tin.formats import arrow, gpkg, write
 from tin.formats.attributes import attributes
@@ -171,3 +173,72 @@ def test_wkb_is_what_shapely_reads():
     tin = grid_tin()
     polygons = shapely.from_wkb([item.item() for item in gpkg.polygons_wkb(tin)])
     assert shapely.equals_exact(polygons, shapely.polygons(tin.vertices[tin.triangles])).all()
+
+
+def voids(**settings):
+    z = np.add.outer(np.arange(40.0), np.arange(30.0) ** 1.5)
+    z[10:20, 8:15] = np.nan
+    z[:, 22:24] = np.nan
+    dem = package.DEM(z, transform=UTM, name="hills", **settings)
+    return package.triangulate(dem, max_points=200)
+
+
+def test_the_outline_is_what_the_triangles_cover(path):
+    mesh = voids(crs="EPSG:26710")
+    formats.write_outline(mesh, path)
+    frame = geopandas.read_file(path, layer="outline")
+    assert frame.crs == pyproj.CRS("EPSG:26710")
+    assert sorted(len(polygon.interiors) for polygon in frame.geometry) == [0, 1]
+    assert shapely.is_valid(frame.geometry).all()
+    assert shapely.is_ccw(shapely.get_exterior_ring(frame.geometry)).all()
+    assert not shapely.has_z(frame.geometry).any()
+    assert frame.area.sum() == pytest.approx(attributes(mesh)["area_2d"].sum(), rel=1e-9)
+    assert query(path, "PRAGMA user_version") == [(10300,)]
+    assert query(path, "SELECT table_name, srs_id, description FROM gpkg_contents") == [
+        ("outline", 26710, "outline of the TIN of hills")
+    ]
+    assert query(path, "SELECT geometry_type_name, z, m FROM gpkg_geometry_columns") == [("POLYGON", 0, 0)]
+    assert query(path, "SELECT count(*) FROM rtree_outline_geom") == [(2,)]
+    with fiona.open(path) as layer:
+        assert layer.schema["geometry"] == "Polygon"
+
+
+def test_an_outline_without_a_crs_and_one_in_the_way(path):
+    mesh = voids()
+    formats.write_outline(mesh, path)
+    assert query(path, "SELECT srs_id FROM gpkg_contents") == [(-1,)]
+    before = path.read_bytes()
+    with pytest.raises(OutputError) as caught:
+        formats.write_outline(mesh, path)
+    assert caught.value.code == "exists"
+    assert path.read_bytes() == before
+    formats.write_outline(mesh, path, overwrite=True)
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+
+
+def test_an_outline_is_a_geopackage(tmp_path):
+    with pytest.raises(OutputError) as caught:
+        formats.write_outline(voids(), tmp_path / "outline.shp")
+    assert caught.value.code == "unknown-suffix"
+    assert ".gpkg" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("outputs", "name", "code"),
+    [
+        ([], "o.tif", "unknown-suffix"),
+        (["o.gpkg"], "o.gpkg", "duplicate-output"),
+        ([], "no/o.gpkg", "no-directory"),
+        ([], "in.gpkg", "same-as-input"),
+        ([], "old.gpkg", "exists"),
+    ],
+)
+def test_an_outline_is_checked_before_the_work(tmp_path, outputs, name, code):
+    (tmp_path / "old.gpkg").touch()
+    with pytest.raises(OutputError) as caught:
+        formats.check_outputs(
+            [tmp_path / output for output in outputs],
+            inputs=[tmp_path / "in.gpkg"],
+            outline=tmp_path / name,
+        )
+    assert caught.value.code == code

@@ -33,6 +33,8 @@ from tin import options
         ("despike", False, False),
         ("z_factor", "-0.3048", -0.3048),
         ("method", "MEDIAN", "median"),
+        ("to_crs", " UTM", "utm"),
+        ("to_crs", "EPSG:26710", tin.CRS.parse("EPSG:26710")),
     ],
 )
 def test_values_are_understood_as_text_and_as_python(name, value, parsed):
@@ -67,6 +69,9 @@ def test_values_are_understood_as_text_and_as_python(name, value, parsed):
         ("z_factor", "nan"),
         ("method", "best"),
         ("fit", "yes please"),
+        ("to_crs", "EPSG:999999"),
+        ("to_crs", "UTM10"),
+        ("to_crs", 26710),
     ],
 )
 def test_nonsense_is_refused_by_name(name, value):

@@ -64,6 +64,8 @@ def parser() -> argparse.ArgumentParser:
     section.add_argument("--quiet", action="store_true", help="no progress and no report")
     section.add_argument("--json", metavar="FILE|-", help="write the report as JSON, - for standard output")
     section.add_argument("--error-map", metavar="FILE.tif", help="write the signed errors, TIN less DEM")
+    text = "write the outline of the TIN as polygons, for clipping"
+    section.add_argument("--outline", metavar="FILE.gpkg", help=text)
     section.add_argument("--version", action="version", version=f"dem2tin {__version__}")
     return made
 
@@ -110,7 +112,7 @@ def _fail(message: str, code: int) -> int:
 
 def run(given: argparse.Namespace) -> None:
     """Read, triangulate, write and report."""
-    from tin import formats, reader, vector
+    from tin import formats, reader, transform, units, vector
     from tin.tin import nearest_pixels, triangulate
 
     start = time.perf_counter()
@@ -128,29 +130,44 @@ def run(given: argparse.Namespace) -> None:
         inputs=[*reader.source_files(given.dem), *reader.source_files(given.points or "")],
         report=report,
         error_map=given.error_map,
+        outline=given.outline,
     )
     bar = Bar(sys.stderr, quiet=given.quiet)
     bar("read", 0.0)
     dem = reader.open(given.dem, **reading)
+    to_crs = writing.pop("to_crs")
+    # What cannot be done is said before the work.
+    crs = None if to_crs is None else transform.target(dem, to_crs)
     points = vector.read_points(given.points, dem.crs) if given.points else None
     if points is not None and not given.quiet:
         outside = len(points) - len(nearest_pixels(dem, points)[0])
         if outside or not len(points):
             print(f"dem2tin: {outside} of {len(points)} points lie outside the DEM", file=sys.stderr)
     mesh = triangulate(dem, points=points, progress=bar, **method)
+    if crs is not None:
+        bar("reproject", 0.0)
+        mesh = mesh.to_crs(crs)
     for path in given.outputs:
         bar(f"write {Path(path).name}", 0.0)
         formats.write(mesh, path, overwrite=given.overwrite, **formats.accepted(path, writing))
     if given.error_map:
         formats.write_error_map(mesh, given.error_map, overwrite=given.overwrite)
+    if given.outline:
+        formats.write_outline(mesh, given.outline, overwrite=given.overwrite)
     bar.close()
-    result = replace(mesh.report, seconds=time.perf_counter() - start)
+    warnings = []
+    if any(map(formats.is_3d, given.outputs)):
+        message = units.warning(mesh.crs, dem.vertical_unit, reading["z_factor"])
+        warnings += [] if message is None else [message]
+    result = replace(mesh.report, seconds=time.perf_counter() - start, warnings=warnings)
     numbers = json.dumps(result.to_dict(), indent=2)
     if given.json == "-":
         print(numbers)
     elif report:
         formats.write_text(report, numbers + "\n", overwrite=given.overwrite)
     if not given.quiet:
+        for warning in warnings:
+            print(f"dem2tin: warning: {warning}", file=sys.stderr)
         print(result, file=sys.stderr if given.json == "-" else sys.stdout)
 
 

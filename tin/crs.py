@@ -8,6 +8,8 @@ from typing import Any
 
 from tin.errors import InputError
 
+UTM = "utm"
+"""In the place of a CRS: the WGS 84 / UTM zone of a DEM's centre."""
 _LENGTHS = {"metre": 1.0, "foot": 0.3048, "US survey foot": 1200 / 3937}
 _SPELLINGS = {
     "metre": {"m", "metre", "metres", "meter", "meters"},
@@ -122,13 +124,15 @@ class CRS:
         if _TOKEN.match(crs.lstrip()) and "[" in crs:
             return cls.from_wkt(crs)
         try:
+            import rasterio
             import rasterio.crs
         except ImportError as error:
             raise InputError(
                 "missing-library", f"{crs} needs rasterio to look it up: pip install rasterio, or give WKT"
             ) from error
         try:
-            return cls.from_rasterio(rasterio.crs.CRS.from_user_input(crs))
+            with rasterio.Env():  # in which GDAL prints nothing
+                return cls.from_rasterio(rasterio.crs.CRS.from_user_input(crs))
         except rasterio.errors.CRSError as error:
             raise InputError("bad-crs", f"unknown CRS: {_shorten(crs)}") from error
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 
@@ -49,6 +49,8 @@ class Report:
     seconds: float
     crs: str | None
     vertical_unit: str
+    warnings: list[str] = field(default_factory=list)
+    """What to know before the outputs are used, such as units that do not fit together."""
 
     def to_dict(self) -> dict[str, Any]:
         """Flat, with stable keys."""

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from tin.crs import CRS, UTM
 from tin.errors import OptionError
 
 if TYPE_CHECKING:
@@ -163,6 +164,12 @@ def _factor(value: Any) -> float:
     if number == 0.0:
         raise ValueError("a factor of 0 would make the DEM flat")
     return number
+
+
+def _crs(value: Any) -> Any:
+    if isinstance(value, str) and value.strip().lower() == UTM:
+        return UTM
+    return CRS.parse(value)
 
 
 def _method(value: Any) -> str:
@@ -321,6 +328,13 @@ OPTIONS: tuple[Option, ...] = (
         group="input",
         is_flag=True,
         advanced=True,
+    ),
+    Option(
+        "to_crs",
+        _crs,
+        "put the TIN into another CRS, or (utm) into the UTM zone of the DEM's centre; heights stay",
+        metavar="EPSG:N|utm",
+        group="output",
     ),
     Option(
         "y_up",

@@ -15,6 +15,8 @@ import numpy.typing as npt
 
 from tin.errors import OutputError
 from tin.formats.geotiff import signed_error
+from tin.reproject import on_own_grid
+from tin.transform import to_grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,10 +60,15 @@ def figure(tin: Tin) -> Figure:
         ) from missing
 
     layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12)
-    made = Figure(figsize=(WIDTH, _height(tin.dem)), dpi=DPI, facecolor="white", layout=layout)
+    shown = on_own_grid(tin)
+    made = Figure(figsize=(WIDTH, _height(shown.dem)), dpi=DPI, facecolor="white", layout=layout)
     FigureCanvasAgg(made)
     (terrain, errors), (close_up, histogram) = made.subplots(2, 2)
     _title(made, tin)
+    error = signed_error(tin)
+    limit = _robust_limit(error)
+    _draw_histogram(histogram, tin, error, limit)
+    error, tin = to_grid(tin, error)[0], shown
     whole = Window(0, 0, tin.dem.rows, tin.dem.cols)
     near = _close_up_window(tin)
 
@@ -76,10 +83,7 @@ def figure(tin: Tin) -> Figure:
     _draw_mesh(close_up, tin, near, _screen_side(tin, near))
     close_up.set_title("Mesh, close-up of the frame")
 
-    error = signed_error(tin)
-    limit = _robust_limit(error)
     _draw_errors(errors, tin, error, limit)
-    _draw_histogram(histogram, tin, error, limit)
     return made
 
 
@@ -155,9 +159,9 @@ def _title(made: Figure, tin: Tin) -> None:
     made.suptitle(
         f"{name}: {points:,} points, {triangles:,} triangles", fontsize=17, weight="bold", parse_math=False
     )
-    crs = "no CRS" if dem.crs is None else f"{_printable(str(dem.crs))}"
-    if dem.crs is not None and dem.crs.name not in ("", "unnamed", crs):
-        crs += f" ({_printable(dem.crs.name)})"
+    crs = "no CRS" if tin.crs is None else f"{_printable(str(tin.crs))}"
+    if tin.crs is not None and tin.crs.name not in ("", "unnamed", crs):
+        crs += f" ({_printable(tin.crs.name)})"
     share = 100.0 * points / max(1, dem.n_valid)
     text = f"{dem.cols:,} × {dem.rows:,} pixels, {share:.3g} % of the valid ones are vertices  ·  {crs}"
     # In the place of an axis label, which constrained layout keeps clear of the maps.

@@ -56,8 +56,21 @@ class Tin:
         errors, self.triangle_errors = core.errors(dem.z, progress)
         self._errors = Errors(**errors)
         self.report = self._report(seconds, progress)
-        for array in (self.pixels, self.vertices, self.triangles, self.constrained, self.triangle_errors):
+        self._set(
+            dem.crs,
+            vertices=self.vertices,
+            triangles=self.triangles,
+            pixels=self.pixels,
+            constrained=self.constrained,
+            triangle_errors=self.triangle_errors,
+        )
+
+    def _set(self, crs: CRS | None, **arrays: npt.NDArray[Any]) -> None:
+        """Take over the arrays, and the CRS that they are in."""
+        self._crs = crs
+        for name, array in arrays.items():
             array.flags.writeable = False
+            setattr(self, name, array)
 
     def _report(self, seconds: float, progress: Progress | None) -> Report:
         spikes = self._core.spikes()
@@ -77,14 +90,14 @@ class Tin:
             scales=self._core.scales,
             delaunay=self._core.delaunay,
             seconds=seconds,
-            crs=str(self.crs) if self.crs else None,
+            crs=str(self.dem.crs) if self.dem.crs else None,
             vertical_unit=self.dem.vertical_unit,
         )
 
     @property
     def crs(self) -> CRS | None:
-        """That of the DEM."""
-        return self.dem.crs
+        """That of the vertices: the DEM's, unless ``to_crs`` changed it."""
+        return self._crs
 
     @property
     def name(self) -> str:
@@ -103,7 +116,10 @@ class Tin:
         return self._errors
 
     def rasterize(self, dtype: npt.DTypeLike = np.float64) -> npt.NDArray[np.floating[Any]]:
-        """(rows, cols) heights of the TIN on the DEM's pixel centres, NaN where there is no triangle."""
+        """(rows, cols) heights of the TIN on the DEM's pixel centres, NaN where there is no triangle.
+
+        Always the DEM's own grid, in the DEM's CRS, also after ``to_crs``.
+        """
         if np.dtype(dtype) not in (np.float32, np.float64):
             raise OptionError(
                 "bad-option", f"a raster of heights is float32 or float64, not {np.dtype(dtype)}"
@@ -117,6 +133,36 @@ class Tin:
         Raises RuntimeError, naming the first property that does not hold.
         """
         self._core.check()
+
+    def to_crs(self, crs: Any) -> Tin:
+        """Return the TIN in another CRS: vertices are moved, heights and their unit stay as they are.
+
+        Args:
+            crs: anything ``CRS.parse`` takes, such as "EPSG:26710", or "utm": the WGS 84 / UTM zone of the
+                DEM's centre (UPS beyond 84 degrees north and 80 south). Of a compound CRS it is the
+                horizontal part.
+
+        Everything written afterwards follows; ``dem``, ``rasterize`` and the errors stay those of the DEM.
+        Edges that would be more than a pixel off in the other CRS are split, so there may be a few more
+        vertices; a part of a triangle keeps the whole one's largest error.
+
+        Raises:
+            InputError: "no-crs", "bad-crs", "outside-crs" (points that have no place there), "turned-over"
+                (the TIN would be torn, as across the antimeridian), "missing-library" without rasterio.
+        """
+        from tin.reproject import to_crs
+
+        return to_crs(self, crs)
+
+    def outline(self) -> list[list[npt.NDArray[np.float64]]]:
+        """Return the polygons of the area that the triangles cover: parts that no edge connects.
+
+        Each polygon is a list of closed rings (k, 3) of x, y and z: the exterior, counter-clockwise, and then
+        the holes, clockwise. They are valid; rings and parts may touch each other in vertices.
+        """
+        from tin.outline import exterior_first, rings
+
+        return [exterior_first([self.vertices[ring] for ring in part]) for part in rings(self.triangles)]
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False, **choices: Any) -> None:
         """Write to ``path`` in the format of its suffix (.gpkg, .obj, .tif, ...); all of it or nothing.

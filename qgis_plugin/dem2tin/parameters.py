@@ -11,7 +11,7 @@ from qgis.core import (
 from .algorithm import with_help
 from .core import tr
 
-NOT_HERE = {"allow_remote"}  # the layer is open already
+NOT_HERE = {"allow_remote", "to_crs"}  # the layer is open already, and QGIS reprojects by itself
 AS_METHOD, YES, NO = "as the method", "yes", "no"
 
 

@@ -37,7 +37,7 @@ def test_parameters_are_those_of_the_core(provider):
 
     parameters = {p.name(): p for p in provider.algorithm("demtotin").parameterDefinitions()}
     for option in OPTIONS:
-        if option.name == "allow_remote":
+        if option.name in {"allow_remote", "to_crs"}:
             continue
         parameter = parameters[option.name.upper()]
         assert option.help.lower().rstrip(".") in parameter.help().lower()

@@ -28,21 +28,26 @@ class Writer(NamedTuple):
     """The library that ``write`` imports."""
     companions: tuple[str, ...]
     """Patterns of the names of files that belong to an output of this name and stem."""
+    is_3d: bool = False
+    """Whether what opens it shows x, y and z to one scale."""
 
 
 _TIFF = Writer(geotiff.write, "rasterio", ("{name}.aux.xml", "{name}.ovr", "{name}.msk"))
 
 WRITERS: dict[str, Writer] = {
     ".gpkg": Writer(gpkg.write, "pyogrio", ("{name}-wal", "{name}-shm", "{name}-journal")),
-    ".obj": Writer(obj.write, "numpy", ("{stem}.prj",)),
+    ".obj": Writer(obj.write, "numpy", ("{stem}.prj",), is_3d=True),
     ".tif": _TIFF,
     ".tiff": _TIFF,
-    ".nc": Writer(ugrid.write, "numpy", ("{name}.aux.xml",)),
+    ".nc": Writer(ugrid.write, "numpy", ("{name}.aux.xml",), is_3d=True),
     ".png": Writer(png.write, "matplotlib", ("{name}.aux.xml",)),
 }
 
 ERROR_WRITERS = {suffix: _TIFF._replace(write=geotiff.write_error) for suffix in (".tif", ".tiff")}
 """The formats of an error map."""
+
+OUTLINE_WRITERS = {".gpkg": WRITERS[".gpkg"]._replace(write=gpkg.write_outline)}
+"""The formats of an outline."""
 
 
 def write(tin: Tin, path: StrPath, *, overwrite: bool = False, **options: Any) -> None:
@@ -64,12 +69,24 @@ def write(tin: Tin, path: StrPath, *, overwrite: bool = False, **options: Any) -
 
 
 def write_error_map(tin: Tin, path: StrPath, *, overwrite: bool = False) -> None:
-    """Write the signed error of ``tin``, TIN less DEM, as a GeoTIFF on the grid of its DEM.
+    """Write the signed error of ``tin``, TIN less DEM, as a GeoTIFF on the grid that ``write`` uses for .tif.
 
     Raises OutputError, as ``write`` does.
     """
+    _write_with(ERROR_WRITERS, tin, path, overwrite)
+
+
+def write_outline(tin: Tin, path: StrPath, *, overwrite: bool = False) -> None:
+    """Write the area that ``tin`` covers as a GeoPackage of polygons, one for each part; see ``Tin.outline``.
+
+    Raises OutputError, as ``write`` does.
+    """
+    _write_with(OUTLINE_WRITERS, tin, path, overwrite)
+
+
+def _write_with(writers: Mapping[str, Writer], tin: Tin, path: StrPath, overwrite: bool) -> None:
     target = _real(path)
-    writer = _writer(target, ERROR_WRITERS)
+    writer = _writer(target, writers)
     with atomic(target, overwrite=overwrite, companions=_companions(writer, target)) as private:
         writer.write(tin, private)
 
@@ -86,6 +103,11 @@ def accepted(path: StrPath, options: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in options.items() if name in known}
 
 
+def is_3d(path: StrPath) -> bool:
+    """Return whether the format of ``path`` is one that shows x, y and z to one scale."""
+    return _writer(_real(path)).is_3d
+
+
 def check_outputs(
     paths: Iterable[StrPath],
     *,
@@ -93,12 +115,13 @@ def check_outputs(
     inputs: Iterable[StrPath] = (),
     report: StrPath | None = None,
     error_map: StrPath | None = None,
+    outline: StrPath | None = None,
 ) -> None:
     """Refuse before any work is done what could not be written in the end.
 
     ``inputs`` are the files read: neither they nor their ``.prj`` may be overwritten.
     ``report`` is a text to be written beside the TIN, under any suffix; ``error_map`` is for
-    ``write_error_map``.
+    ``write_error_map``, ``outline`` for ``write_outline``.
 
     Raises OutputError: ``unknown-suffix``, ``missing-library``, ``no-directory``, ``not-writable``,
     ``exists``, ``same-as-input``, ``duplicate-output``.
@@ -106,9 +129,10 @@ def check_outputs(
     sources = {_real(path) for path in inputs}
     seen: set[Path] = set()
     targets = [(target, _companions(_writer(target), target)) for target in map(_real, paths)]
-    if error_map is not None:
-        target = _real(error_map)
-        targets.append((target, _companions(_writer(target, ERROR_WRITERS), target)))
+    for path, writers in ((error_map, ERROR_WRITERS), (outline, OUTLINE_WRITERS)):
+        if path is not None:
+            target = _real(path)
+            targets.append((target, _companions(_writer(target, writers), target)))
     if report is not None:
         targets.append((_real(report), []))
     for target, companions in targets:

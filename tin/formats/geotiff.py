@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tin.formats.common import crs_definition, title
+from tin.transform import to_grid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from tin.dem import Transform
     from tin.tin import Tin
 
 _LARGEST = float(np.finfo(np.float32).max)
@@ -23,21 +25,22 @@ _LARGEST = float(np.finfo(np.float32).max)
 def write(tin: Tin, path: Path) -> None:
     """Write the heights of ``tin`` at the pixel centres of its DEM: size, transform and CRS are the DEM's.
 
+    Where ``tin`` is in another CRS they are interpolated on a grid in that one.
     Heights are float32. The NoData value is the DEM's where float32 holds it and no height
     equals it, else -9999, else NaN; none is declared if the DEM has none and the TIN covers every pixel.
     """
     dem = tin.dem
-    heights = tin.rasterize(np.float32)
+    heights, place = to_grid(tin, tin.rasterize(np.float32))
     void = np.isnan(heights)
     nodata = _nodata(dem.nodata, heights) if dem.nodata is not None or void.any() else None
     if nodata is not None:
         heights[void] = nodata
-    _write_band(tin, path, heights, nodata, title(tin))
+    _write_band(tin, path, (heights, place), nodata, title(tin))
 
 
 def write_error(tin: Tin, path: Path) -> None:
-    """Write the signed error of ``tin``, see ``signed_error``; float32, NoData is NaN."""
-    _write_band(tin, path, signed_error(tin), math.nan, f"error of {title(tin)}")
+    """Write the signed error of ``tin``, see ``signed_error``; float32 with NaN, on the grid of ``write``."""
+    _write_band(tin, path, to_grid(tin, signed_error(tin)), math.nan, f"error of {title(tin)}")
 
 
 def signed_error(tin: Tin) -> NDArray[np.float32]:
@@ -48,11 +51,18 @@ def signed_error(tin: Tin) -> NDArray[np.float32]:
     return error.astype(np.float32)
 
 
-def _write_band(tin: Tin, path: Path, values: NDArray[Any], nodata: float | None, description: str) -> None:
+def _write_band(
+    tin: Tin,
+    path: Path,
+    band: tuple[NDArray[Any], Transform],
+    nodata: float | None,
+    description: str,
+) -> None:
     import rasterio
     from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 
-    dem = tin.dem
+    values, place = band
+    rows, cols = values.shape
     # GDAL does not report a full disk to rasterio: it writes to memory, and Python to the disk.
     with warnings.catch_warnings(), rasterio.MemoryFile() as memory:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -61,10 +71,10 @@ def _write_band(tin: Tin, path: Path, values: NDArray[Any], nodata: float | None
                 driver="GTiff",
                 dtype="float32",
                 count=1,
-                height=dem.rows,
-                width=dem.cols,
+                height=rows,
+                width=cols,
                 crs=crs_definition(tin),
-                transform=rasterio.Affine(*dem.transform),
+                transform=rasterio.Affine(*place),
                 nodata=nodata,
                 tiled=True,
                 compress="deflate",
@@ -74,7 +84,7 @@ def _write_band(tin: Tin, path: Path, values: NDArray[Any], nodata: float | None
             ) as raster:
                 raster.write(values, 1)
                 raster.set_band_description(1, description)
-                raster.set_band_unit(1, dem.vertical_unit)
+                raster.set_band_unit(1, tin.dem.vertical_unit)
         except (CRSError, RasterioError) as error:
             raise OSError(str(error)) from error
         with path.open("wb") as file:

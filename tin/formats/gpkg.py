@@ -1,9 +1,11 @@
-"""GeoPackage: one POLYGON Z with its attributes per triangle, in the layer ``tin``."""
+"""GeoPackage: a POLYGON Z with its attributes per triangle; or the outline of the TIN as polygons."""
 
 from __future__ import annotations
 
 import contextlib
 import sqlite3
+import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,33 +33,68 @@ _POLYGON_Z = np.dtype(
 
 
 def write(tin: Tin, path: Path) -> None:
-    """Write the triangles of ``tin`` as GeoPackage 1.3 with an R-tree.
+    """Write the triangles of ``tin`` as GeoPackage 1.3 with an R-tree, in the layer ``tin``.
 
     Polygons run counter-clockwise; the columns are those of `tin.formats.attributes.attributes`
     (NULL for NaN). Without a CRS the layer is "undefined Cartesian".
     """
     from pyogrio import raw
-    from pyogrio.util import vsi_path
 
     columns = {**attributes(tin), "geom": polygons_wkb(tin)}
+    with _database(path, "tin", len(tin.triangles)) as plain:
+        raw.write_arrow(
+            ColumnStream(columns),
+            plain,
+            geometry_name="geom",
+            geometry_type="Polygon Z",
+            **_settings(tin, "tin", _description(tin)),
+        )
+
+
+def write_outline(tin: Tin, path: Path) -> None:
+    """Write the area that ``tin`` covers as GeoPackage 1.3: a valid POLYGON a part, in the layer ``outline``.
+
+    Polygons are those of `Tin.outline` without z, which nobody cuts with.
+    """
+    from pyogrio import raw
+
+    polygons = [outline_wkb(polygon) for polygon in tin.outline()]
+    geometry = np.empty(len(polygons), dtype=object)
+    geometry[:] = polygons
+    with _database(path, "outline", len(polygons)) as plain:
+        raw.write(
+            plain,
+            geometry,
+            field_data=[],
+            fields=[],
+            geometry_type="Polygon",
+            **_settings(tin, "outline", f"outline of the {title(tin)}"),
+        )
+
+
+def _settings(tin: Tin, layer: str, description: str) -> dict[str, Any]:
+    return {
+        "layer": layer,
+        "driver": "GPKG",
+        "crs": crs_definition(tin) or _UNDEFINED,
+        "dataset_options": {"VERSION": "1.3"},
+        "layer_options": {"DESCRIPTION": description},
+    }
+
+
+@contextlib.contextmanager
+def _database(path: Path, layer: str, rows: int) -> Iterator[Path]:
+    """Yield a name to write ``layer`` to that GDAL reads no meaning into; then check it, and rename it."""
+    from pyogrio.util import vsi_path
+
     plain = path.with_name("tin.gpkg")
     if vsi_path(str(plain)) != str(plain):  # it takes "a!b" for a member of an archive
         raise OSError(f"pyogrio would read a meaning into the directory's name {str(path.parent.parent)!r}")
     try:
-        raw.write_arrow(
-            ColumnStream(columns),
-            plain,
-            layer="tin",
-            driver="GPKG",
-            geometry_name="geom",
-            geometry_type="Polygon Z",
-            crs=crs_definition(tin) or _UNDEFINED,
-            dataset_options={"VERSION": "1.3"},
-            layer_options={"DESCRIPTION": _description(tin)},
-        )
+        yield plain
     except RuntimeError as error:  # the base of pyogrio's errors
         raise OSError(str(error)) from error
-    _check_whole(plain, len(tin.triangles))
+    _check_whole(plain, layer, rows)
     plain.replace(path)
 
 
@@ -72,18 +109,24 @@ def polygons_wkb(tin: Tin) -> NDArray[Any]:
     return polygons.view(f"V{_POLYGON_Z.itemsize}")
 
 
+def outline_wkb(polygon: list[NDArray[np.float64]]) -> bytes:
+    """Return closed rings (k, 2 or 3), the exterior first, as a WKB polygon of x and y."""
+    rings = (struct.pack("<I", len(ring)) + ring[:, :2].astype("<f8").tobytes() for ring in polygon)
+    return struct.pack("<BII", 1, 3, len(polygon)) + b"".join(rings)
+
+
 def _description(tin: Tin) -> str:
     heights = tin.dem.vertical_unit or "unknown unit"
     areas = f"square {area_unit(tin)}"
     return f"{title(tin)}: heights in {heights}, slope and aspect in degrees, areas in {areas}"
 
 
-def _check_whole(path: Path, triangles: int) -> None:
+def _check_whole(path: Path, layer: str, rows: int) -> None:
     """Raise OSError unless all rows are indexed: pyogrio tells nothing of what fails on closing."""
-    whole = "SELECT (SELECT count(*) FROM rtree_tin_geom_rowid), max_y IS NOT NULL FROM gpkg_contents"
+    whole = f"SELECT (SELECT count(*) FROM rtree_{layer}_geom_rowid), max_y IS NOT NULL FROM gpkg_contents"
     try:
         with contextlib.closing(sqlite3.connect(path)) as database:
-            complete = database.execute(whole).fetchall() == [(triangles, 1)]
+            complete = database.execute(whole).fetchall() == [(rows, 1)]
     except sqlite3.Error:
         complete = False
     if not complete:
