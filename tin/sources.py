@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import warnings
 from collections.abc import Sequence
@@ -194,11 +195,14 @@ def read(source: Source, max_pixels: int | None) -> tuple[Array, npt.NDArray[np.
                 heights *= source.scale
                 heights += source.offset
             void |= np.isnan(heights)
-    except MemoryError as error:
-        size = f"{source.rows} x {source.cols}"
-        raise InputError("out-of-memory", f"{source.label}: {size} pixels do not fit into memory") from error
-    except (OSError, RuntimeError) as error:
-        raise InputError("unreadable", f"{source.label}: damaged or incomplete ({reason(error)})") from error
+    except (MemoryError, OSError, RuntimeError) as error:
+        why = reason(error)
+        # GDAL tells of memory that it does not get for its own buffers as of any damage.
+        if isinstance(error, MemoryError) or re.search("cannot allocate|out of memory", why, re.IGNORECASE):
+            code, what = "out-of-memory", f"{source.rows} x {source.cols} pixels do not fit into memory"
+        else:
+            code, what = "unreadable", f"damaged or incomplete ({why})"
+        raise InputError(code, f"{source.label}: {what}") from error
     return heights, void
 
 
