@@ -123,7 +123,7 @@ def test_scales_take_ground_units():
 def test_every_option_is_documented():
     for option in options.OPTIONS:
         assert option.help
-        assert option.group in {"method", "input", "output"}
+        assert option.group in {"method", "constraints", "input", "output"}
         assert option.is_flag or option.choices or option.metavar
         if option.default is not None:
             assert option.read(option.default) == option.default

@@ -235,10 +235,10 @@ def test_initial_points_are_vertices():
 
 
 def test_points_that_are_none_are_refused():
-    for points in ("x", [("a", "b")], [1.0, 2.0]):
+    for points, code in (("x", "not-found"), (7, "bad-features"), ([1.0, 2.0], "bad-features")):
         with pytest.raises(tin.InputError) as caught:
             tin.triangulate(dem(), points=points)
-        assert caught.value.code == "bad-points"
+        assert caught.value.code == code
     assert tin.triangulate(dem(), points=[], max_points=20).report.points == 20
 
 

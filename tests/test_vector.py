@@ -15,7 +15,7 @@ from terrain import dem
 from test_cli import JACKSBORO, run
 
 import tin
-from tin import shapes, vector
+from tin import features, shapes, vector
 
 UTM = "EPSG:32610"
 
@@ -36,8 +36,8 @@ def test_points_come_in_the_crs_of_the_dem(tmp_path, suffix, crs):
     wanted = places(source)
     there = geopandas.GeoSeries(shapely.points(wanted), crs=UTM).to_crs(crs)
     path = write(tmp_path / f"p.{suffix}", there.get_coordinates().to_numpy(), crs)
-    found = vector.read_points(str(path), source.crs)
-    np.testing.assert_allclose(found, wanted, atol=0.01)
+    found = features.points(path, source.crs)
+    np.testing.assert_allclose(found[:, :2], wanted, atol=0.01)
     mesh = tin.triangulate(source, points=found, max_points=20)
     assert {(3, 5), (40, 22), (71, 50)} <= {tuple(p) for p in mesh.pixels.astype(int).tolist()}
 
@@ -47,8 +47,8 @@ def test_a_layer_is_chosen_by_name_and_multipoints_count(tmp_path):
     write(path, np.zeros((1, 2)), UTM, layer="other")
     many = geopandas.GeoDataFrame(geometry=[shapely.MultiPoint([(1, 2), (3, 4)])], crs=UTM)
     many.to_file(path, layer="summits", engine="fiona")
-    found = vector.read_points(f"{path}:summits", dem(crs=UTM).crs)
-    np.testing.assert_array_equal(found, [[1, 2], [3, 4]])
+    found = features.points(f"{path}:summits", dem(crs=UTM).crs)
+    np.testing.assert_array_equal(found[:, :2], [[1, 2], [3, 4]])
 
 
 def test_empty_geometries_and_missing_crs_are_taken_as_they_are(tmp_path):
@@ -58,7 +58,7 @@ def test_empty_geometries_and_missing_crs_are_taken_as_they_are(tmp_path):
         '{"type":"Feature","properties":{},"geometry":null},'
         '{"type":"Feature","properties":{},"geometry":{"type":"Point","coordinates":[7,8]}}]}'
     )
-    np.testing.assert_array_equal(vector.read_points(str(path), None), [[7, 8]])
+    np.testing.assert_array_equal(features.points(path, None)[:, :2], [[7, 8]])
 
 
 def test_what_is_not_points_is_refused(tmp_path):
@@ -66,7 +66,7 @@ def test_what_is_not_points_is_refused(tmp_path):
     geopandas.GeoDataFrame(geometry=[shapely.LineString([(0, 0), (1, 1)])], crs=UTM).to_file(
         lines, engine="fiona"
     )
-    refused(lines, "not-points", vector.read_points)
+    refused(lines, "not-points", features.points)
 
 
 def refused(source: object, code: str, function: object = None) -> str:

@@ -68,4 +68,4 @@ def triangulate(
     flat: list[tuple[list[npt.NDArray[np.float64]], float]],
     progress: Callable[[str, float], Any] | None = None,
 ) -> Mesh:
-    """Triangulates a raster; see tin.triangulate. Vertices are (n, 3) column, row and height (NaN for none)."""
+    """Triangulates a raster; see tin.triangulate. Vertices are (n, 3): column, row, height or NaN."""

@@ -16,7 +16,12 @@ from tin import __version__, options
 from tin.errors import Cancelled, InputError, OptionError, OutputError, TinError
 
 EXIT_CODES = ((OptionError, 2), (InputError, 3), (OutputError, 4), (Cancelled, 130))
-GROUPS = (("method", "triangulation"), ("input", "reading"), ("output", "writing"))
+GROUPS = (
+    ("method", "triangulation"),
+    ("constraints", "what the TIN follows"),
+    ("input", "reading"),
+    ("output", "writing"),
+)
 BAR_WIDTH = 30
 
 DESCRIPTION = "Turn a DEM into a compact TIN that stays true to the terrain even where the DEM is noisy."
@@ -56,9 +61,6 @@ def parser() -> argparse.ArgumentParser:
         section = made.add_argument_group(title)
         for option in options.of_group(group):
             _add(section, option)
-        if group == "method":
-            text = "vector file whose points are vertices from the start"
-            section.add_argument("--points", metavar="FILE[:LAYER]", help=text)
     section = made.add_argument_group("the run")
     section.add_argument("--overwrite", action="store_true", help="replace outputs that exist")
     section.add_argument("--quiet", action="store_true", help="no progress and no report")
@@ -112,22 +114,24 @@ def _fail(message: str, code: int) -> int:
 
 def run(given: argparse.Namespace) -> None:
     """Read, triangulate, write and report."""
-    from tin import formats, reader, transform, units, vector
-    from tin.tin import nearest_pixels, triangulate
+    from tin import formats, reader, transform, units
+    from tin.tin import triangulate
 
     start = time.perf_counter()
     values = vars(given)
-    inputs, method, output = (
+    inputs, method, followed, output = (
         {option.name: values[option.name] for option in options.of_group(group)}
-        for group in ("input", "method", "output")
+        for group in ("input", "method", "constraints", "output")
     )
     reading, writing = options.parse(inputs, "input"), options.parse(output, "output")
+    following = options.parse(followed, "constraints")
     options.parse_method(method)
+    vectors = [following[name] for name in ("breaklines", "points", "clip", "flat") if following[name]]
     report = None if given.json in (None, "-") else given.json
     formats.check_outputs(
         given.outputs,
         overwrite=given.overwrite,
-        inputs=[*reader.source_files(given.dem), *reader.source_files(given.points or "")],
+        inputs=[file for source in (given.dem, *vectors) for file in reader.source_files(source)],
         report=report,
         error_map=given.error_map,
         outline=given.outline,
@@ -138,12 +142,7 @@ def run(given: argparse.Namespace) -> None:
     to_crs = writing.pop("to_crs")
     # What cannot be done is said before the work.
     crs = None if to_crs is None else transform.target(dem, to_crs)
-    points = vector.read_points(given.points, dem.crs) if given.points else None
-    if points is not None and not given.quiet:
-        outside = len(points) - len(nearest_pixels(dem, points)[0])
-        if outside or not len(points):
-            print(f"dem2tin: {outside} of {len(points)} points lie outside the DEM", file=sys.stderr)
-    mesh = triangulate(dem, points=points, progress=bar, **method)
+    mesh = triangulate(dem, progress=bar, allow_remote=reading["allow_remote"], **following, **method)
     if crs is not None:
         bar("reproject", 0.0)
         mesh = mesh.to_crs(crs)
@@ -155,10 +154,10 @@ def run(given: argparse.Namespace) -> None:
     if given.outline:
         formats.write_outline(mesh, given.outline, overwrite=given.overwrite)
     bar.close()
-    warnings = []
+    warnings = mesh.report.warnings
     if any(map(formats.is_3d, given.outputs)):
         message = units.warning(mesh.crs, dem.vertical_unit, reading["z_factor"])
-        warnings += [] if message is None else [message]
+        warnings = [*warnings, *([] if message is None else [message])]
     result = replace(mesh.report, seconds=time.perf_counter() - start, warnings=warnings)
     numbers = json.dumps(result.to_dict(), indent=2)
     if given.json == "-":

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.floating[Any]]
 Transform = tuple[float, float, float, float, float, float]
 
+USUAL_NODATA = (-9999.0, -32767.0, -32768.0, -99999.0)
+MIN_GAP = 1000.0  # between such a value and the lowest height
 MAX_HEIGHT = 1e38  # beyond it a float32 output would overflow; no real height comes near
 METRES_PER_DEGREE = 111_320.0
 
@@ -126,6 +128,20 @@ class DEM:
         )
         if not all(0 < part < math.inf for part in self.metric()[::2]):
             raise InputError("bad-transform", f"{label}: the pixel size is out of range: {self.transform}")
+
+    def warnings(self) -> list[str]:
+        """What looks wrong with the heights: a NoData value that nobody declared."""
+        low = np.fmin.reduce(self.z, axis=None)
+        if float(low) not in USUAL_NODATA:
+            return []
+        others = self.z[self.z > low]
+        if not len(others) or others.min() - low < MIN_GAP:
+            return []
+        count = np.count_nonzero(self.z == low)
+        return [
+            f"{count:,} pixels are {low:g}, far below all others: if that means NoData, declare it, "
+            f"for example with gdal_edit.py -a_nodata {low:g}"
+        ]
 
     @classmethod
     def _load(cls, source: Source, z_factor: float, max_pixels: int | None) -> DEM:

@@ -36,7 +36,14 @@ _NAMES = {shapes.POINTS: "points", shapes.LINE: "lines", shapes.EXTERIOR: "polyg
 _KNOWN = "a vector file, a GeoDataFrame, shapely geometries, or (n, 2) or (n, 3) map coordinates"
 
 
-def points(value: Any, crs: CRS | None, *, label: str = "points", allow_remote: bool = False) -> Coordinates:
+def points(
+    value: Any,
+    crs: CRS | None,
+    *,
+    label: str = "points",
+    allow_remote: bool = False,
+    keep_lost: bool = False,
+) -> Coordinates:
     """The points, also those of multipoints, whose x and y are finite.
 
     Args:
@@ -44,6 +51,7 @@ def points(value: Any, crs: CRS | None, *, label: str = "points", allow_remote: 
         crs: that of the DEM.
         label: what messages call a value that is no file.
         allow_remote: also read files from the network.
+        keep_lost: also give the points that cannot be transformed, infinitely far away.
 
     Returns:
         (n, 3) map x, y and z; z is NaN where there is none or it is not finite.
@@ -52,7 +60,11 @@ def points(value: Any, crs: CRS | None, *, label: str = "points", allow_remote: 
         InputError: "not-points", "bad-features", "bad-crs", and the codes of `vector.read`.
     """
     found = gather(value, crs, shapes.POINTS, label, allow_remote)
-    return _finite(found)[0]
+    if not keep_lost:
+        return _finite(found)[0]
+    xyz = found.xyz[~np.isnan(found.xyz[:, :2]).any(axis=1)]
+    xyz[~np.isfinite(xyz[:, 2]), 2] = np.nan
+    return xyz
 
 
 def lines(

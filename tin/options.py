@@ -7,6 +7,7 @@ The command line, the Python keywords and the QGIS parameters are all made from
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -151,6 +152,10 @@ def _quantile(value: Any) -> float:
     if number == 0.0:
         raise ValueError("a quantile must be above 0 and at most 1")
     return number
+
+
+def _layer(value: Any) -> str:
+    return os.fsdecode(value)
 
 
 def _switch(value: Any) -> bool:
@@ -311,6 +316,44 @@ OPTIONS: tuple[Option, ...] = (
         metavar="PIXELS",
         advanced=True,
     ),
+    Option(
+        "breaklines",
+        _layer,
+        "vector file of lines that become edges of the TIN; lines with heights keep them, the others take "
+        "those of the DEM",
+        metavar="FILE[:LAYER]",
+        group="constraints",
+    ),
+    Option(
+        "points",
+        _layer,
+        "vector file of points that are vertices from the start; points with heights keep place and height",
+        metavar="FILE[:LAYER]",
+        group="constraints",
+    ),
+    Option(
+        "clip",
+        _layer,
+        "vector file of polygons: what lies outside is left out",
+        metavar="FILE[:LAYER]",
+        group="constraints",
+    ),
+    Option(
+        "flat",
+        _layer,
+        "vector file of polygons, such as lakes, that are kept level: at their own height, or at the DEM's "
+        "median there",
+        metavar="FILE[:LAYER]",
+        group="constraints",
+    ),
+    Option(
+        "soft",
+        _switch,
+        "ignore the heights of breaklines and points",
+        default=False,
+        group="constraints",
+        is_flag=True,
+    ),
     Option("band", lambda value: _whole(value, 1), "band to read", default=1, metavar="B", group="input"),
     Option(
         "z_factor",
@@ -345,14 +388,14 @@ OPTIONS: tuple[Option, ...] = (
         is_flag=True,
     ),
 )
-"""All options; those of the group "method" are the keywords of ``tin.triangulate``."""
+"""All options; those of the groups "method" and "constraints" are keywords of ``tin.triangulate``."""
 
 BY_NAME: Mapping[str, Option] = {option.name: option for option in OPTIONS}
 DEFAULT_POINTS = Share(5.0)
 
 
 def of_group(group: str) -> list[Option]:
-    """The options for reading ("input"), triangulating ("method") or writing ("output")."""
+    """The options for reading ("input"), triangulating ("method", "constraints") or writing ("output")."""
     return [option for option in OPTIONS if option.group == group]
 
 

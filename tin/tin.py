@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tin import _core, options
+from tin.constraints import constraints
 from tin.errors import InputError, OptionError
 from tin.metrics import Errors, Report
 
@@ -40,7 +42,14 @@ class Tin:
     """(m,) the largest absolute error of the DEM's pixels in each triangle."""
     report: Report
 
-    def __init__(self, core: _core.Mesh, dem: DEM, seconds: float, progress: Progress | None = None) -> None:
+    def __init__(
+        self,
+        core: _core.Mesh,
+        dem: DEM,
+        seconds: float,
+        progress: Progress | None = None,
+        warnings: Sequence[str] = (),
+    ) -> None:
         self._core = core
         self.dem = dem
         self.pixels = core.pixels()
@@ -55,7 +64,7 @@ class Tin:
         self.constrained = constrained if turn == slice(None) else constrained[:, [1, 0, 2]]
         errors, self.triangle_errors = core.errors(dem.z, progress)
         self._errors = Errors(**errors)
-        self.report = self._report(seconds, progress)
+        self.report = replace(self._report(seconds, progress), warnings=list(warnings))
         self._set(
             dem.crs,
             vertices=self.vertices,
@@ -202,59 +211,51 @@ class Tin:
 
 
 def triangulate(
-    dem: DEM, *, points: npt.ArrayLike | None = None, progress: Progress | None = None, **keywords: Any
+    dem: DEM,
+    *,
+    breaklines: Any = None,
+    points: Any = None,
+    clip: Any = None,
+    flat: Any = None,
+    soft: bool = False,
+    allow_remote: bool = False,
+    progress: Progress | None = None,
+    **keywords: Any,
 ) -> Tin:
     """Make a TIN of a DEM.
 
+    Breaklines, points, clip and flat take the name of a vector file, a GeoDataFrame, shapely geometries or
+    arrays of map coordinates (see ``tin.features``), transformed to the CRS of the DEM if they have another.
+
     Args:
         dem: the heights.
-        points: (n, 2) map x, y of pixels that are to be vertices from the start (P_I of Algorithm 1);
-            each is moved to the nearest pixel centre, those on voids or outside are left out.
+        breaklines: lines that are edges of the TIN. Where their vertices have a height, in the DEM's vertical
+            unit, the TIN keeps it and runs straight between them; else it has that of the DEM.
+        points: points that are vertices from the start (P_I of Algorithm 1). With a height they keep place
+            and height; else they are moved to the nearest pixel centre.
+        clip: polygons; what lies outside is left out, and their boundary consists of edges.
+        flat: polygons that are kept level, such as lakes: at their own height, or at the DEM's median there.
+        soft: ignore the heights of breaklines and points.
+        allow_remote: also read vector files from the network.
         progress: called with (stage, fraction); a false answer cancels.
         keywords: the options of the group "method" in ``tin.options.OPTIONS``.
 
     Raises:
         OptionError: "bad-option", "unknown-option".
-        InputError: "too-small", "no-area", "too-large".
+        InputError: "too-small", "no-area", "too-large", "clip-outside", and those of ``tin.features``.
         Cancelled: the callback asked to stop.
     """
     start = time.perf_counter()
     arguments = options.core_arguments(keywords, dem)
-    core = _core.triangulate(
-        dem.z,
-        dem.metric(),
-        pixels=_initial(dem, points),
-        points=np.empty((0, 3)),
-        lines=[],
-        clip=None,
-        flat=[],
-        progress=progress,
-        **arguments,
+    followed = constraints(
+        dem,
+        breaklines=breaklines,
+        points=points,
+        clip=clip,
+        flat=flat,
+        soft=soft,
+        allow_remote=allow_remote,
     )
-    return Tin(core, dem, time.perf_counter() - start, progress)
-
-
-def _initial(dem: DEM, points: npt.ArrayLike | None) -> list[tuple[int, int]]:
-    if points is None:
-        return []
-    try:
-        places = np.asarray(points, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError("bad-points", f"points must be (n, 2) map coordinates: {error}") from error
-    if places.size == 0:
-        return []
-    if places.ndim != 2 or places.shape[1] < 2:
-        raise InputError("bad-points", f"points must be (n, 2) map coordinates, not of shape {places.shape}")
-    col, row = nearest_pixels(dem, places)
-    return list(zip(col.tolist(), row.tolist()))
-
-
-def nearest_pixels(
-    dem: DEM, points: npt.NDArray[np.float64]
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Column and row of the pixels nearest to the (n, 2) map coordinates that lie on the raster."""
-    points = points[np.isfinite(points[:, :2]).all(axis=1)]
-    col, row = dem.map_to_pixel(points[:, 0], points[:, 1])
-    col, row = np.rint(col), np.rint(row)
-    inside = (col >= 0) & (col < dem.cols) & (row >= 0) & (row < dem.rows)
-    return col[inside].astype(np.int64), row[inside].astype(np.int64)
+    core = _core.triangulate(dem.z, dem.metric(), progress=progress, **arguments, **followed.core_arguments())
+    warnings = [*dem.warnings(), *followed.warnings]
+    return Tin(core, dem, time.perf_counter() - start, progress, warnings)

@@ -7,13 +7,10 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
-
 from tin import reader, sources
 from tin.crs import CRS
 from tin.errors import InputError
-from tin.shapes import POINTS, Collector, Shapes
+from tin.shapes import Collector, Shapes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -58,17 +55,6 @@ def read(source: str, *, allow_remote: bool = False) -> tuple[Shapes, CRS | None
     except (fiona.errors.FionaError, CPLE_BaseError, OSError, UnicodeError) as error:
         why = " ".join(str(error).split())
         raise InputError("not-a-vector", f"{path}: cannot be read as a vector file ({why})") from error
-
-
-def read_points(source: str, crs: CRS | None) -> npt.NDArray[np.float64]:
-    """The (n, 2) map x and y of the points of a vector file, in the CRS of the DEM; see `features.points`.
-
-    Points that cannot be transformed are infinitely far away, so that they count among those outside.
-    """
-    from tin import features
-
-    found = features.gather(source, crs, POINTS, "points").xyz[:, :2]
-    return found[~np.isnan(found).any(axis=1)]
 
 
 def _split(source: str) -> tuple[str, str | None]:
