@@ -102,6 +102,20 @@ proptest! {
     }
 
     #[test]
+    fn a_fit_that_pulls_hard_keeps_the_tolerance(rows in 5usize..=9, cols in 5usize..=9, metric in metric(), slopes in [0i32..5, 0i32..5], level in 0.1f64..0.9) {
+        // Errors of one sign near a vertex, of the other far away, move it by more than they are.
+        let place = |i: usize| f64::from(slopes[0] * (i % cols) as i32 + slopes[1] * (i / cols) as i32);
+        let edge = level * place(rows * cols - 1);
+        let mut z: Vec<f64> = (0..rows * cols).map(|i| if place(i) < edge { 1.0 } else { -1.0 }).collect();
+        for corner in [0, cols - 1, (rows - 1) * cols, rows * cols - 1] {
+            z[corner] = 0.0;
+        }
+        let at = Raster { rows, cols, z };
+        let options = Options { fit: true, ..plain(Rule { tolerance: 1.0, ..MAX }, usize::MAX) };
+        assert_within(&meshed(&at.z, &at, metric, &options).unwrap(), &at, 1.0);
+    }
+
+    #[test]
     fn a_tolerance_holds_after_coarse_scales_and_initial_points(at in raster(), sigmas in prop::collection::vec(0.0f64..3.0, 1..3), seed: u64) {
         let rule = Rule { tolerance: 0.5, ..MAX };
         let mut random = Random(seed);

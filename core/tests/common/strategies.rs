@@ -13,9 +13,11 @@ pub struct Raster {
     pub z: Vec<f64>,
 }
 
-/// Up to half void; few different heights, so that ties abound.
+/// Up to half void; few different heights, so that ties abound; blocks of some pixels
+/// alike, so that errors have one sign over many of them.
 pub fn raster() -> impl Strategy<Value = Raster> {
-    (2usize..=9, 2usize..=9, 0u32..6).prop_flat_map(|(rows, cols, voids)| {
+    let block = prop::sample::select(vec![1, 1, 2, 3]);
+    (2usize..=9, 2usize..=9, 0u32..6, block).prop_flat_map(|(rows, cols, voids, block)| {
         let height = (0u32..10, 0usize..9).prop_map(move |(die, i)| {
             let heights = [0.0, 1.0, 2.0, 3.0, 4.0, 1.0, 2.0, -7.25, 1000.5];
             if die < voids {
@@ -24,7 +26,11 @@ pub fn raster() -> impl Strategy<Value = Raster> {
                 heights[i]
             }
         });
-        prop::collection::vec(height, rows * cols).prop_map(move |z| Raster { rows, cols, z })
+        prop::collection::vec(height, rows * cols).prop_map(move |z| {
+            let first = |i: usize| i / block * block;
+            let z = (0..rows * cols).map(|i| z[first(i / cols) * cols + first(i % cols)]).collect();
+            Raster { rows, cols, z }
+        })
     })
 }
 
