@@ -9,7 +9,16 @@ PLUGIN_ZIP := dist/dem2tin_qgis.zip
 QGIS_PYTHON ?= /usr/bin/python3
 QGIS_SITE := target/qgis-site
 
-.PHONY: demo test test-rust test-python test-qgis pictures plugin lint clean
+.PHONY: demo test test-rust test-python test-qgis pictures plugin lint fuzz fuzz-reader clean
+
+FUZZ_SECONDS ?= 60
+FUZZ_TARGETS := predicates insert constrain outline refine
+FUZZ := target/fuzz
+HOST = $(shell rustc -vV | sed -n 's/^host: //p')
+# What cargo-fuzz passes but for the sanitisers, which need a nightly toolchain.
+COVERAGE := -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
+  -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
+  -Cllvm-args=-sanitizer-coverage-trace-compares --cfg fuzzing
 
 $(VENV)/ready: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -71,9 +80,28 @@ pictures: $(VENV)/installed $(QGIS_SITE)/ready
 lint: $(VENV)/linters
 	cargo fmt --all --check
 	cargo clippy --release --all-targets --all-features -- -D warnings
+	cargo fmt --manifest-path core/fuzz/Cargo.toml --check
+	cargo clippy --release --manifest-path core/fuzz/Cargo.toml --target-dir $(FUZZ) -- -D warnings
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# Each target for FUZZ_SECONDS from the committed corpus, which stays as it is; what is new and what is
+# found goes to target/fuzz. The long run is: make fuzz FUZZ_SECONDS=600
+fuzz: $(FUZZ_TARGETS:%=fuzz-%) fuzz-reader
+
+$(FUZZ)/built: core/fuzz/Cargo.toml $(wildcard core/fuzz/src/*.rs core/fuzz/fuzz_targets/*.rs) $(CORE)
+	RUSTFLAGS="$(COVERAGE)" cargo build --release --manifest-path core/fuzz/Cargo.toml \
+	  --target $(HOST) --target-dir $(FUZZ)
+	touch $@
+
+fuzz-%: $(FUZZ)/built
+	mkdir -p $(FUZZ)/new/$* $(FUZZ)/found/$*
+	$(FUZZ)/$(HOST)/release/$* -max_total_time=$(FUZZ_SECONDS) -timeout=10 -max_len=512 -print_final_stats=1 \
+	  -verbosity=0 -artifact_prefix=$(FUZZ)/found/$*/ $(FUZZ)/new/$* core/fuzz/corpus/$*
+
+fuzz-reader: $(VENV)/installed
+	$(BIN)/python tests/fuzz/reader.py --seconds $(FUZZ_SECONDS) --found $(FUZZ)/found/reader
 
 clean:
 	rm -rf $(VENV) target out dist

@@ -192,8 +192,9 @@ def _plain_pgm(name: str, band: int, max_pixels: int) -> Source:
             raise OSError(f"cut short, it should hold {rows * cols} heights")
         numbers = (int(token[0]) for token in re.finditer(rb"\S+", data[header.end() :]))
         try:
-            heights = np.fromiter(numbers, dtype, rows * cols)
-        except ValueError as error:
+            with np.errstate(over="ignore"):
+                heights = np.fromiter(numbers, dtype, rows * cols)
+        except (ValueError, OverflowError) as error:
             raise OSError(f"it should hold {rows * cols} whole numbers") from error
         if heights.min() < 0 or heights.max() > maximum:
             raise OSError(f"its heights should be between 0 and {maximum}")

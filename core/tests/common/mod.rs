@@ -1,6 +1,8 @@
 //! Helpers of the integration tests. Each test crate uses its own part of them.
 #![allow(dead_code)]
 
+pub mod strategies;
+
 use dem2tin_core::check::check;
 use dem2tin_core::domain::{domain, Constraints};
 use dem2tin_core::error::Result;
