@@ -12,7 +12,7 @@ QGIS_SITE := target/qgis-site
 .PHONY: demo test test-rust test-python test-qgis pictures plugin lint fuzz fuzz-reader clean
 
 FUZZ_SECONDS ?= 60
-FUZZ_TARGETS := predicates insert constrain outline refine
+FUZZ_TARGETS := predicates insert constrain outline domain refine
 FUZZ := target/fuzz
 HOST = $(shell rustc -vV | sed -n 's/^host: //p')
 # What cargo-fuzz passes but for the sanitisers, which need a nightly toolchain.

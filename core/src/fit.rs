@@ -120,7 +120,8 @@ impl<'m> Normal<'m> {
         let mut direction = vec![0.0; r.len()];
         let preconditioned = |r: &[f64]| r.iter().zip(&self.inverse).map(|(r, d)| r * r * d).sum::<f64>();
         let mut rho = preconditioned(&r);
-        let goal = rho * REDUCTION * REDUCTION;
+        // Squares of the smallest heights underflow.
+        let goal = (rho * REDUCTION * REDUCTION).max(f64::MIN_POSITIVE);
         let mut keep = 0.0;
         for i in 0..MAX_ITERATIONS {
             if rho <= goal {
@@ -131,7 +132,11 @@ impl<'m> Normal<'m> {
                 *direction = r * d + keep * *direction;
             }
             self.apply(&direction, &mut product);
-            let step = rho / dot(&direction, &product);
+            let curvature = dot(&direction, &product);
+            if curvature <= 0.0 {
+                break;
+            }
+            let step = rho / curvature;
             for i in 0..x.len() {
                 x[i] += step * direction[i];
                 r[i] -= step * product[i];

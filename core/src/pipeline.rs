@@ -78,6 +78,9 @@ const MAX_OUTLINE: f64 = 100.0;
 /// Squares and products of heights must not overflow.
 const MAX_HEIGHT: f64 = 1e100;
 
+/// What smoothing may round off a height, as a part of the largest one.
+const ROUNDING: f64 = 1e-13;
+
 /// Residuals up to this many standard deviations of the noise are taken for noise.
 const SIGNIFICANT: f64 = 3.0;
 
@@ -114,6 +117,7 @@ pub fn triangulate<T: Height>(
     let image = Grid::new(&finest, grid.rows(), grid.cols())?;
     refiner.surface.sample(&image);
     refiner.insert(&options.constraints.pixels, &image);
+    let largest = data.z().iter().fold(0.0f64, |most, z| most.max(z.to_f64().abs()));
     let is_too_few = refiner.count() > options.max_points;
     let mut stop = Stop::Tolerance;
     for (i, &sigma) in scales.iter().enumerate() {
@@ -127,6 +131,10 @@ pub fn triangulate<T: Height>(
         progress.stage("refine")?;
         let limit = options.max_points.min(refiner.count().saturating_add(options.points_per_scale));
         let mut rule = options.rule;
+        if sigma != [0.0; 2] {
+            // Smoothing rounds: without it nothing is known below this.
+            rule.tolerance = rule.tolerance.max(ROUNDING * largest);
+        }
         if options.stop_at_noise {
             rule.tolerance = rule.tolerance.max(SIGNIFICANT * noise * noise_left(sigma));
         }

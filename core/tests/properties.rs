@@ -5,15 +5,17 @@ mod common;
 
 use common::strategies::{any_options, metric, options, raster, rule, Raster};
 use common::{assert_sound, fingerprint, full, plain, quietly, residuals, triangle_set, Random, AUTO, MAX};
+use dem2tin_core::domain::Constraints;
 use dem2tin_core::error::Error;
 use dem2tin_core::grid::{Grid, Height};
 use dem2tin_core::measure::{errors, rasterise};
-use dem2tin_core::outline::{simplify, trace, Chain};
+use dem2tin_core::outline::trace;
 use dem2tin_core::pipeline::{triangulate, Options, Scales, Triangulation};
 use dem2tin_core::predicate::{orient2d, Metric, Point, UNIT};
 use dem2tin_core::progress::Progress;
 use dem2tin_core::refine::{Rule, Stop};
 use dem2tin_core::scale::{noise, spikes};
+use dem2tin_core::simplify::{simplify, Chain};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 
@@ -33,8 +35,9 @@ fn twice_area(chain: &Chain) -> i64 {
 }
 
 fn twice_data_area(done: &Triangulation) -> i64 {
-    let data = (0..done.mesh.triangles().len() as u32).filter(|&t| !done.mesh.triangle(t).is_void());
-    data.map(|t| done.mesh.corners(t)).map(|[a, b, c]| orient2d(a, b, c)).sum()
+    let data =
+        (0..done.surface.mesh.triangles().len() as u32).filter(|&t| !done.surface.mesh.triangle(t).is_void());
+    data.map(|t| done.surface.mesh.corners(t)).map(|[a, b, c]| orient2d(a, b, c)).sum()
 }
 
 /// The valid corners of each 2 x 2 block that has at least three, as raster indices.
@@ -46,7 +49,7 @@ fn cells(at: &Raster) -> Vec<Vec<usize>> {
 }
 
 fn places(done: &Triangulation) -> BTreeSet<Point> {
-    done.mesh.points().iter().copied().collect()
+    done.surface.mesh.points().iter().copied().collect()
 }
 
 fn assert_within(done: &Triangulation, at: &Raster, tolerance: f64) {
@@ -61,8 +64,8 @@ proptest! {
     #[test]
     fn every_method_leaves_a_sound_mesh_with_no_more_points_than_asked_for(at in raster(), metric in metric(), options in options()) {
         let Some(done) = meshed(&at.z, &at, metric, &options) else { return Ok(()) };
-        assert_sound(&done.mesh, done.report.delaunay);
-        let points = done.z.iter().filter(|z| !z.is_nan()).count();
+        assert_sound(&done.surface.mesh, done.report.delaunay);
+        let points = done.surface.z.iter().filter(|z| !z.is_nan()).count();
         prop_assert!(points <= options.max_points || done.report.stop == Stop::Outline);
     }
 
@@ -73,7 +76,7 @@ proptest! {
             prop_assert!(cells.is_empty());
             return Ok(());
         };
-        let surface: Vec<f64> = quietly(|p| rasterise(&done.mesh, &done.z, at.rows, at.cols, p)).unwrap();
+        let surface: Vec<f64> = quietly(|p| rasterise(&done.surface.mesh, &done.surface.z, at.rows, at.cols, p)).unwrap();
         prop_assert!(cells.iter().flatten().all(|&i| surface[i].is_finite()), "data lost");
         prop_assert!(surface.iter().zip(&at.z).all(|(s, z)| s.is_nan() || !z.is_nan()), "void covered");
     }
@@ -84,7 +87,7 @@ proptest! {
         let chains = quietly(|p| trace(&Grid::new(&at.z, at.rows, at.cols).unwrap(), p)).unwrap();
         let traced: i64 = chains.iter().map(twice_area).sum();
         prop_assert_eq!(traced, cells(&at).iter().map(|c| c.len() as i64 - 2).sum::<i64>());
-        let simplified: i64 = chains.iter().map(|chain| twice_area(&simplify(chain))).sum();
+        let simplified: i64 = chains.iter().map(|chain| twice_area(&quietly(|p| simplify(chain, 1.0, p)).unwrap())).sum();
         prop_assert!(simplified >= traced);
         prop_assert_eq!(twice_data_area(&done), simplified * i64::from(UNIT * UNIT));
     }
@@ -121,12 +124,12 @@ proptest! {
         let mut random = Random(seed);
         let initial: Vec<_> = (0..3).map(|_| (random.below(at.cols), random.below(at.rows))).collect();
         let scales = Scales::Given(sigmas.iter().map(|&s| [s, 0.5 * s]).collect());
-        let options = Options { scales, initial: initial.clone(), fit: true, ..plain(rule, usize::MAX) };
+        let options = Options { scales, constraints: Constraints { pixels: initial.clone(), ..Constraints::default() }, fit: true, ..plain(rule, usize::MAX) };
         let Some(done) = meshed(&at.z, &at, Metric::SQUARE, &options) else { return Ok(()) };
         assert_within(&done, &at, 0.5);
         let cells: BTreeSet<usize> = cells(&at).into_iter().flatten().collect();
         for (col, row) in initial.into_iter().filter(|(col, row)| cells.contains(&(row * at.cols + col))) {
-            prop_assert!(done.mesh.points().contains(&Point::pixel(col, row)), "({}, {}) is no vertex", col, row);
+            prop_assert!(done.surface.mesh.points().contains(&Point::pixel(col, row)), "({}, {}) is no vertex", col, row);
         }
     }
 
@@ -137,7 +140,7 @@ proptest! {
         let rule = Rule { tolerance: options.rule.tolerance * factor, ..options.rule };
         let Some(done) = meshed(&at.z, &at, metric, &options) else { return Ok(()) };
         let scaled = meshed(&z, &at, metric, &Options { rule, ..options }).unwrap();
-        let heights = done.z.iter().map(|z| (z * factor).to_bits()).collect();
+        let heights = done.surface.z.iter().map(|z| (z * factor).to_bits()).collect();
         let (points, triangles, _) = fingerprint(&done);
         prop_assert_eq!(fingerprint(&scaled), (points, triangles, heights));
         prop_assert_eq!(scaled.report.stop, done.report.stop);
@@ -176,7 +179,7 @@ proptest! {
         let rule = Rule { tolerance: 1e-9, ..rule };
         let options = if all { full(rule, usize::MAX) } else { plain(rule, usize::MAX) };
         let done = meshed(&at.z, &at, metric, &options).unwrap();
-        prop_assert_eq!(done.mesh.triangles().len(), 2);
+        prop_assert_eq!(done.surface.mesh.triangles().len(), 2);
         assert_within(&done, &at, 1e-9);
     }
 
@@ -191,7 +194,7 @@ proptest! {
     fn more_points_never_make_fewer_vertices(at in raster(), options in options(), n in 0usize..60, more in 0usize..30) {
         let count = |max_points| {
             let options = Options { max_points, ..options.clone() };
-            meshed(&at.z, &at, Metric::SQUARE, &options).map(|done| done.mesh.points().len())
+            meshed(&at.z, &at, Metric::SQUARE, &options).map(|done| done.surface.mesh.points().len())
         };
         prop_assert!(count(n) <= count(n + more));
     }
@@ -206,15 +209,15 @@ proptest! {
             let grid = Grid::new(&z, rows, cols).unwrap();
             quietly(|p| triangulate(&grid, metric, &plain(rule, n), p)).unwrap()
         });
-        prop_assert_eq!(triangle_set(&low.mesh), triangle_set(&high.mesh));
+        prop_assert_eq!(triangle_set(&low.surface.mesh), triangle_set(&high.surface.mesh));
     }
 
     #[test]
     fn plain_vertices_carry_the_heights_of_their_pixels(at in raster(), metric in metric(), rule in rule(), most in 0usize..90) {
         let Some(done) = meshed(&at.z, &at, metric, &plain(rule, most)) else { return Ok(()) };
         let data: BTreeSet<u32> =
-            done.mesh.triangles().iter().filter(|t| !t.is_void()).flat_map(|t| t.v).collect();
-        for (v, (p, z)) in (0..).zip(done.mesh.points().iter().zip(&done.z)) {
+            done.surface.mesh.triangles().iter().filter(|t| !t.is_void()).flat_map(|t| t.v).collect();
+        for (v, (p, z)) in (0..).zip(done.surface.mesh.points().iter().zip(&done.surface.z)) {
             let (col, row) = p.as_pixel().unwrap();
             let expected = if data.contains(&v) { at.z[row * at.cols + col] } else { f64::NAN };
             prop_assert!(*z == expected || z.is_nan() && expected.is_nan(), "{} for {}", z, expected);
@@ -224,9 +227,9 @@ proptest! {
     #[test]
     fn the_errors_are_those_of_the_written_raster(at in raster(), metric in metric(), options in options()) {
         let Some(done) = meshed(&at.z, &at, metric, &options) else { return Ok(()) };
-        let surface: Vec<f64> = quietly(|p| rasterise(&done.mesh, &done.z, at.rows, at.cols, p)).unwrap();
+        let surface: Vec<f64> = quietly(|p| rasterise(&done.surface.mesh, &done.surface.z, at.rows, at.cols, p)).unwrap();
         let grid = Grid::new(&at.z, at.rows, at.cols).unwrap();
-        let (told, largest) = quietly(|p| errors(&done.mesh, &done.z, &grid, p)).unwrap();
+        let (told, largest) = quietly(|p| errors(&done.surface.mesh, &done.surface.z, &grid, p)).unwrap();
         let mut signed: Vec<f64> = surface.iter().zip(&at.z).map(|(s, z)| s - z).filter(|e| !e.is_nan()).collect();
         let n = signed.len() as f64;
         let mean = |f: fn(f64) -> f64| signed.iter().map(|&e| f(e)).sum::<f64>() / n;
@@ -273,13 +276,13 @@ proptest! {
 
     #[test]
     fn any_options_give_a_mesh_or_an_error_with_a_code(at in raster(), metric in metric(), mut options in any_options(), within in 0..4) {
-        if within > 0 { options.initial.iter_mut().for_each(|(col, row)| (*col, *row) = (*col % at.cols, *row % at.rows)); }
+        if within > 0 { options.constraints.pixels.iter_mut().for_each(|(col, row)| (*col, *row) = (*col % at.cols, *row % at.rows)); }
         let grid = Grid::new(&at.z, at.rows, at.cols).unwrap();
         match quietly(|p| triangulate(&grid, metric, &options, p)) {
             Ok(done) => {
-                assert_sound(&done.mesh, done.report.delaunay);
-                let data = done.mesh.triangles().iter().filter(|t| !t.is_void());
-                prop_assert!(data.flat_map(|t| t.v).all(|v| done.z[v as usize].is_finite()), "a vertex without height");
+                assert_sound(&done.surface.mesh, done.report.delaunay);
+                let data = done.surface.mesh.triangles().iter().filter(|t| !t.is_void());
+                prop_assert!(data.flat_map(|t| t.v).all(|v| done.surface.z[v as usize].is_finite()), "a vertex without height");
             }
             Err(Error::Input { code, .. }) => prop_assert_eq!(code, "no-area"),
             Err(Error::Option { code, .. }) => prop_assert_eq!(code, "bad-option"),

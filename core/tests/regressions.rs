@@ -81,3 +81,17 @@ fn isolated_corner_pixels_do_not_count_as_points() {
     assert_sound(&done.surface.mesh, true);
     assert_eq!(done.surface.z.iter().filter(|z| !z.is_nan()).count(), 60);
 }
+
+#[test]
+fn heights_whose_squares_underflow_are_fitted() {
+    for exponent in 1480..1640 {
+        let tiny = 10f64.powf(-f64::from(exponent) / 10.0);
+        for pixel in 0..9 {
+            let mut z = vec![0.0; 9];
+            z[pixel] = tiny;
+            let options = Options { fit: true, ..plain(MAX, 4) };
+            let done = run(&z, 3, 3, &options).unwrap();
+            assert!(done.surface.z.iter().all(|z| z.abs() <= 10.0 * tiny), "{tiny:e}: {:?}", done.surface.z);
+        }
+    }
+}

@@ -2,11 +2,12 @@
 #![no_main]
 
 use arbitrary::{Arbitrary, Result, Unstructured};
-use dem2tin_core::constrain::Constrainer;
-use dem2tin_core::mesh::Mesh;
+use dem2tin_core::constrain::{Constrainer, Label};
+use dem2tin_core::mesh::{half_edge, Mesh};
 use dem2tin_core::predicate::{Metric, Point};
 use dem2tin_core_fuzz::{assert_sound, metric, point};
 use libfuzzer_sys::fuzz_target;
+use std::collections::HashMap;
 
 #[derive(Debug)]
 struct Input {
@@ -31,15 +32,31 @@ fuzz_target!(|input: Input| {
         mesh.insert(p, 0);
     }
     let vertices = mesh.points().len() as u32;
-    let mut parts = Vec::new();
-    let mut constrainer = Constrainer::new(&mut mesh);
-    for &(a, b) in &input.segments {
-        let (a, b) = (u32::from(a) % vertices, u32::from(b) % vertices);
-        // A segment that crosses another one is refused half-way; what it left is still sound.
-        let _ = constrainer.insert(a, b, |from, to| parts.push((from, to)));
+    let free = vec![f64::NAN; vertices as usize];
+    let mut constrainer = Constrainer::new(&mut mesh, free);
+    let ends = input.segments.iter().map(|&(a, b)| (u32::from(a) % vertices, u32::from(b) % vertices));
+    let ends: Vec<(u32, u32)> = ends.collect();
+    for (region, &(a, b)) in (0..).zip(&ends) {
+        constrainer.insert(a, b, Label::border(region));
     }
+    let (labels, _) = constrainer.finish();
+    mesh.make_delaunay();
     assert_sound(&mesh, true);
-    let constrainer = Constrainer::new(&mut mesh);
-    let edges: Vec<_> = parts.iter().map(|&(from, to)| constrainer.find_edge(from, to)).collect();
-    assert!(edges.into_iter().all(|h| h.is_some_and(|h| mesh.is_constrained(h))), "a part is no edge");
+    // What leaves and enters each vertex along the path of a segment must cancel out.
+    let mut balance: HashMap<(u32, u32), i32> = HashMap::new();
+    for h in (0..mesh.triangles().len() as u32).flat_map(|t| [0, 1, 2].map(|k| half_edge(t, k))) {
+        let (from, to) = (mesh.origin(h), mesh.dest(h));
+        let label = labels.get(from, to);
+        assert_eq!(label.is_some(), mesh.is_constrained(h));
+        for (region, count) in label.filter(|_| h < mesh.twin(h)).into_iter().flat_map(|label| label.winding)
+        {
+            *balance.entry((region, from)).or_default() += count;
+            *balance.entry((region, to)).or_default() -= count;
+        }
+    }
+    for (region, &(a, b)) in (0..).zip(&ends) {
+        *balance.entry((region, a)).or_default() -= 1;
+        *balance.entry((region, b)).or_default() += 1;
+    }
+    assert!(balance.values().all(|&count| count == 0), "a segment is no path");
 });

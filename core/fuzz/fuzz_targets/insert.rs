@@ -57,7 +57,7 @@ fuzz_target!(|input: Input| {
                 (Point { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2 }, 0)
             }
             Step::Constrain(i) => {
-                mesh.set_constrained(edge(i), true);
+                mesh.constrain(edge(i));
                 continue;
             }
         };

@@ -2,12 +2,14 @@
 #![no_main]
 
 use arbitrary::{Arbitrary, Result, Unstructured};
+use dem2tin_core::domain::{domain, Constraints};
 use dem2tin_core::error::Error;
 use dem2tin_core::grid::Grid;
 use dem2tin_core::measure::rasterise;
-use dem2tin_core::outline::{outline_mesh, simplify, trace, Chain};
+use dem2tin_core::outline::{trace, Shape};
 use dem2tin_core::predicate::{orient2d, Metric, UNIT};
 use dem2tin_core::progress::Progress;
+use dem2tin_core::simplify::{simplify, Chain};
 use dem2tin_core_fuzz::{assert_sound, in_complex, metric};
 use libfuzzer_sys::fuzz_target;
 
@@ -44,8 +46,8 @@ fuzz_target!(|input: Input| {
     let mut report = |_: &'static str, _: f64| true;
     let progress = &mut Progress::new(&mut report);
     let inside = in_complex(&grid);
-    let mesh = match outline_mesh(&grid, metric, progress) {
-        Ok(mesh) => mesh,
+    let mesh = match domain(&grid, metric, &Shape::default(), &Constraints::default(), progress) {
+        Ok(surface) => surface.mesh,
         Err(error) => {
             assert!(matches!(error, Error::Input { code: "no-area", .. }), "{error:?}");
             return assert!(!inside.contains(&true));
@@ -61,6 +63,10 @@ fuzz_target!(|input: Input| {
     let data = (0..mesh.triangles().len() as u32).filter(|&t| !mesh.triangle(t).is_void());
     let covered: i64 = data.map(|t| mesh.corners(t)).map(|[a, b, c]| orient2d(a, b, c)).sum();
     let Ok(chains) = trace(&grid, progress) else { unreachable!("nobody cancels") };
-    let outlined: i64 = chains.iter().map(|chain| twice_area(&simplify(chain))).sum();
+    let mut outlined = 0;
+    for chain in chains {
+        let Ok(simple) = simplify(&chain, 1.0, progress) else { unreachable!("nobody cancels") };
+        outlined += twice_area(&simple);
+    }
     assert_eq!(covered, outlined * i64::from(UNIT) * i64::from(UNIT));
 });

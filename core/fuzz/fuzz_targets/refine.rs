@@ -3,9 +3,11 @@
 #![no_main]
 
 use arbitrary::{Arbitrary, Result, Unstructured};
+use dem2tin_core::domain::Constraints;
 use dem2tin_core::error::Error;
 use dem2tin_core::grid::{Grid, Height};
 use dem2tin_core::measure::errors;
+use dem2tin_core::outline::Shape;
 use dem2tin_core::pipeline::{triangulate, Options, Scales};
 use dem2tin_core::predicate::Metric;
 use dem2tin_core::progress::Progress;
@@ -72,9 +74,13 @@ fn options(u: &mut Unstructured, rows: usize, cols: usize) -> Result<Options> {
         despike: u.arbitrary()?,
         fit: u.arbitrary()?,
         flips: u.int_in_range(0..=3)?,
-        initial: (0..initial)
-            .map(|_| Ok((u.int_in_range(0..=cols)?, u.int_in_range(0..=rows - 1)?)))
-            .collect::<Result<_>>()?,
+        shape: Shape::default(),
+        constraints: Constraints {
+            pixels: (0..initial)
+                .map(|_| Ok((u.int_in_range(0..=cols)?, u.int_in_range(0..=rows - 1)?)))
+                .collect::<Result<_>>()?,
+            ..Constraints::default()
+        },
     })
 }
 
@@ -106,14 +112,19 @@ fn run<T: Height>(z: &[T], rows: usize, cols: usize, metric: Metric, options: &O
         Ok(done) => done,
         Err(error) => return assert_ne!(error, Error::Cancelled),
     };
-    assert_sound(&done.mesh, done.report.delaunay);
-    let points = done.z.iter().filter(|z| !z.is_nan()).count();
+    assert_sound(&done.surface.mesh, done.report.delaunay);
+    let points = done.surface.z.iter().filter(|z| !z.is_nan()).count();
     let is_bounded = options.has_tolerance && options.rule.bound == 1.0;
     assert!(points <= options.max_points || done.report.stop == Stop::Outline);
-    for triangle in done.mesh.triangles().iter().filter(|t| !t.is_void()) {
-        assert!(triangle.v.iter().all(|&v| done.z[v as usize].is_finite()), "a vertex without a height");
+    for triangle in done.surface.mesh.triangles().iter().filter(|t| !t.is_void()) {
+        assert!(
+            triangle.v.iter().all(|&v| done.surface.z[v as usize].is_finite()),
+            "a vertex without a height"
+        );
     }
-    let Ok((errors, _)) = errors(&done.mesh, &done.z, &grid, progress) else { unreachable!() };
+    let Ok((errors, _)) = errors(&done.surface.mesh, &done.surface.z, &grid, progress) else {
+        unreachable!()
+    };
     assert_eq!(errors.void_covered, 0);
     assert!(errors.covered >= in_complex(&grid).into_iter().filter(|&inside| inside).count(), "data lost");
     // Despiked pixels are no longer what the tolerance counts against.

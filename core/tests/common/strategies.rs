@@ -1,6 +1,8 @@
 //! Small rasters, metrics and options at random.
 
 use super::{form, full, plain, AUTO, FORMS, MAX, PAPER};
+use dem2tin_core::domain::Constraints;
+use dem2tin_core::outline::Shape;
 use dem2tin_core::pipeline::{Options, Scales};
 use dem2tin_core::predicate::Metric;
 use dem2tin_core::refine::Rule;
@@ -93,7 +95,8 @@ pub fn any_options() -> impl Strategy<Value = Options> {
                 despike,
                 fit,
                 flips,
-                initial,
+                shape: Shape::default(),
+                constraints: Constraints { pixels: initial, ..Constraints::default() },
             }
         },
     )
