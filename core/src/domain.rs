@@ -5,6 +5,7 @@ use crate::constrain::{Constrainer, Label, Labels, OUTLINE};
 use crate::crop::{crop_ring, crop_segment, signed_area, Vertex};
 use crate::error::{Error, Result};
 use crate::grid::{Grid, Height};
+use crate::memory;
 use crate::mesh::{half_edge, triangle_of, Class, Mesh, NONE};
 use crate::order::insertion_order;
 use crate::outline::{outline, Shape};
@@ -162,6 +163,7 @@ fn build<T: Height>(
     plan: Plan,
     progress: &mut Progress,
 ) -> Result<(Mesh, Labels, Vec<f64>)> {
+    memory::ensure(512 * plan.points.len() + 256 * plan.segments.len())?;
     let mut mesh = Mesh::rectangle(grid.cols(), grid.rows(), metric);
     let mut number = vec![NONE; plan.points.len()];
     for i in insertion_order(&plan.points) {

@@ -2,6 +2,7 @@
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
+use crate::memory;
 use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
 use crate::predicate::Point;
 use crate::progress::Progress;
@@ -52,6 +53,8 @@ impl<'m> Normal<'m> {
         value: impl Fn(usize, f64, f64) -> [f64; K],
     ) -> Result<(Self, [Vec<f64>; K])> {
         let (mesh, z) = (&surface.mesh, &surface.z);
+        let (vertices, triangles) = (z.len(), mesh.triangles().len());
+        memory::ensure(triangles * 48 + vertices * 8 * (K + 6) + grid.z().len() / 8)?;
         let mut seen = Visited::new(grid.z().len());
         let mut blocks = vec![[0.0; 6]; mesh.triangles().len()];
         let mut sides: [Vec<f64>; K] = std::array::from_fn(|_| vec![0.0; z.len()]);
@@ -258,6 +261,7 @@ pub fn flip_pass<T: Height>(
     let Surface { mesh, z, .. } = surface;
     let count = mesh.triangles().len() as u32;
     let height = |v: [u32; 3]| v.map(|v| z[v as usize]);
+    memory::ensure(8 * count as usize)?;
     let mut errors = vec![f64::NAN; count as usize];
     let mut flips = 0;
     for t in 0..count {

@@ -15,6 +15,7 @@ pub mod fit;
 pub mod grid;
 pub mod locate;
 pub mod measure;
+pub mod memory;
 pub mod mesh;
 pub mod order;
 pub mod outline;

@@ -3,6 +3,7 @@
 use crate::error::Result;
 use crate::fit::Visited;
 use crate::grid::{Grid, Height};
+use crate::memory;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::scan::{for_each_pixel, for_each_plane_row, Corners};
@@ -33,6 +34,7 @@ pub fn rasterise<T: Height>(
     cols: usize,
     progress: &mut Progress,
 ) -> Result<Vec<T>> {
+    memory::ensure(rows * cols * size_of::<T>())?;
     let mut surface = vec![T::from_f64(f64::NAN); rows * cols];
     for t in 0..mesh.triangles().len() as u32 {
         let triangle = mesh.triangle(t);
@@ -61,9 +63,10 @@ pub fn errors<T: Height>(
     grid: &Grid<T>,
     progress: &mut Progress,
 ) -> Result<(Errors, Vec<f64>)> {
+    memory::ensure(grid.z().len() * 5 + mesh.triangles().len() * 8)?;
     let mut seen = Visited::new(grid.z().len());
     let mut largest = vec![0.0f64; mesh.triangles().len()];
-    let mut absolute: Vec<f32> = Vec::new();
+    let mut absolute: Vec<f32> = Vec::with_capacity(grid.z().len());
     // How many errors share the upper half of their bits, which sorts like the values.
     let mut classes = vec![0usize; 1 << 16];
     let mut result = Errors::default();

@@ -2,6 +2,7 @@
 //! memory, which the passes over all triangles repay several times.
 
 use crate::error::Result;
+use crate::memory;
 use crate::mesh::{half_edge, triangle_of, Triangle, NONE};
 use crate::predicate::{Point, SUB_BITS};
 use crate::progress::Progress;
@@ -60,6 +61,7 @@ pub fn scramble(i: u64) -> u64 {
 pub fn by_place(surface: &mut Surface, progress: &mut Progress) -> Result<()> {
     let mesh = &surface.mesh;
     let count = mesh.triangles().len() as u32;
+    memory::ensure(64 * mesh.triangles().len() + 48 * mesh.points().len())?;
     let mut order: Vec<(u64, u32)> = (0..count).map(|t| (place_of(mesh.corners(t)), t)).collect();
     progress.stage("order")?;
     order.sort_unstable();

@@ -7,6 +7,7 @@
 
 use crate::error::{Error, Result};
 use crate::grid::{Grid, Height};
+use crate::memory;
 use crate::predicate::{Point, UNIT};
 use crate::progress::Progress;
 use crate::sieve::sieve;
@@ -130,6 +131,10 @@ fn border_steps<T: Height>(grid: &Grid<T>, progress: &mut Progress) -> Result<Ve
         } else {
             below.clear();
             below.resize(cells, 0);
+        }
+        if steps.capacity() < steps.len() + 4 * cells {
+            // Room for all that follows: the steps again, twice as long, and their chains.
+            memory::ensure(128 * (steps.len() + 4 * cells))?;
         }
         for col in 0..cells {
             let mask = here[col];

@@ -4,12 +4,13 @@ use crate::domain::{domain, Constraints};
 use crate::error::{Error, Result};
 use crate::fit::{fit_heights, flip_pass, Blend};
 use crate::grid::{Grid, Height};
+use crate::memory;
 use crate::order::{by_place, scramble};
 use crate::outline::Shape;
 use crate::predicate::Metric;
 use crate::progress::Progress;
 use crate::refine::{Refiner, Rule, Stop};
-use crate::scale::{choose, gaussian, noise, noise_left, spikes};
+use crate::scale::{choose, gaussian, noise, noise_left, spikes, MAX_SAMPLES};
 use crate::surface::Surface;
 use std::borrow::Cow;
 
@@ -197,8 +198,11 @@ fn prepare<'a, T: Height>(
 ) -> Result<Images<'a, T>> {
     let mut data = Cow::Borrowed(grid.z());
     let mut removed = Vec::new();
+    // The samples of the noise estimate, while their list grows.
+    memory::ensure(24 * grid.z().len().min(MAX_SAMPLES))?;
     if options.despike {
         progress.stage("despike")?;
+        memory::ensure(size_of_val(grid.z()))?;
         for (pixel, z) in spikes(grid, noise(grid), progress)? {
             data.to_mut()[pixel] = z;
             removed.push(pixel);
@@ -226,6 +230,7 @@ fn fit<'a, T: Height>(
         return Ok(Cow::Borrowed(data.z()));
     }
     let random_sign = |i: u64| if scramble(i) & 1 == 0 { 1.0 } else { -1.0 };
+    memory::ensure(size_of_val(data.z()))?;
     let probe: Vec<T> =
         (0..).zip(data.z()).map(|(i, z)| T::from_f64(random_sign(i) + 0.0 * z.to_f64())).collect();
     let smooth_probe = gaussian(&Grid::new(&probe, data.rows(), data.cols())?, sigma, progress)?;

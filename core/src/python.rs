@@ -6,6 +6,7 @@ use crate::domain::{Constraints, Polygon};
 use crate::error::Error;
 use crate::grid::{Grid, Height};
 use crate::measure;
+use crate::memory;
 use crate::mesh;
 use crate::outline::Shape;
 use crate::pipeline::{self, Options, Report, Scales};
@@ -339,6 +340,8 @@ fn run<T: Height + Element>(
         let metric = Metric::from_form(e, f, g, rows.max(cols))
             .ok_or_else(|| Error::input("bad-transform", "the geotransform is singular"))?;
         let done = pipeline::triangulate(&grid, metric, &options, progress)?;
+        // For the arrays of the result.
+        memory::ensure(128 * done.surface.z.len())?;
         Ok(Mesh::new(done, rows, cols))
     })
 }

@@ -8,6 +8,7 @@
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
+use crate::memory;
 use crate::mesh::Class;
 use crate::order::insertion_order;
 use crate::predicate::Point;
@@ -54,6 +55,9 @@ const EXACT_PIXELS: usize = 1 << 20;
 /// the quantile: a triangle that fits but for one pixel does not wait forever, and
 /// those whose median error is zero are told apart.
 const WORST_SHARE: f64 = 0.3;
+
+/// What a vertex takes with its share of the mesh and the queue while they grow.
+const VERTEX_BYTES: usize = 200;
 
 /// Index of the quantile `q` among `n` sorted errors; 0.5 gives the lower median.
 pub fn quantile_index(n: usize, q: f64) -> usize {
@@ -110,7 +114,13 @@ impl Refiner {
             progress.poll(work, || 0.0)?;
         }
         let (start, mut first_priority) = (self.count(), None);
+        // Vertices there is memory for, with their triangles and candidates.
+        let mut room = 0;
         while self.count() < max_points {
+            if self.surface.z.len() >= room {
+                room = 2 * self.surface.z.len().max(1 << 15);
+                memory::ensure(VERTEX_BYTES * room)?;
+            }
             let mesh = &self.surface.mesh;
             let is_current = |c: &Candidate| mesh.triangle(c.triangle).version == c.version;
             let Some(best) = self.queue.pop(max_points - self.count(), is_current) else {

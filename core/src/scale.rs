@@ -2,6 +2,7 @@
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
+use crate::memory;
 use crate::progress::Progress;
 use std::borrow::Cow;
 use std::ops::Range;
@@ -9,7 +10,7 @@ use std::ops::Range;
 /// Gaussian kernels are cut off at this many standard deviations.
 const TRUNCATE: f64 = 4.0;
 /// The largest number of samples a robust statistic looks at.
-const MAX_SAMPLES: usize = 1 << 20;
+pub const MAX_SAMPLES: usize = 1 << 20;
 /// sigma = 1.4826 MAD for normally distributed errors.
 const MAD_TO_SIGMA: f64 = 1.4826;
 
@@ -146,6 +147,7 @@ pub fn gaussian<'a, T: Height>(
     if sigma == [0.0, 0.0] {
         return Ok(Cow::Borrowed(grid.z()));
     }
+    memory::ensure(size_of_val(grid.z()))?;
     let [kx, ky] = sigma.map(kernel);
     let (rx, ry) = (kx.len() / 2, ky.len() / 2);
     let (rows, cols) = (grid.rows(), grid.cols());

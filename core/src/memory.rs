@@ -1,0 +1,31 @@
+//! Asking for memory before it is used: where the allocator itself runs dry, Rust ends
+//! the whole process.
+
+use crate::error::{Error, Result};
+
+/// Fails if `bytes` more cannot be had now. Errors: `out-of-memory`.
+pub fn ensure(bytes: usize) -> Result<()> {
+    let mut probe: Vec<u8> = Vec::new();
+    let is_there = probe.try_reserve_exact(bytes).is_ok();
+    // Looked at, so that the compiler does not leave out the allocation.
+    std::hint::black_box(&probe);
+    if is_there {
+        return Ok(());
+    }
+    let megabytes = bytes.div_ceil(1 << 20);
+    let message = format!("not enough memory: {megabytes} MB more are needed; cut the DEM into tiles");
+    Err(Error::input("out-of-memory", message))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_no_machine_has_is_refused() {
+        assert!(ensure(1 << 20).is_ok());
+        assert!(ensure(0).is_ok());
+        let refused = ensure(usize::MAX / 4);
+        assert!(matches!(refused, Err(Error::Input { code: "out-of-memory", .. })));
+    }
+}
