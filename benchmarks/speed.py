@@ -19,6 +19,7 @@ from common import fractal_terrain
 
 import tin
 from tin import _core, options
+from tin.constraints import Constraints
 
 
 def ours(dem: tin.DEM, points: int, method: str) -> tuple[float, int, dict[str, float]]:
@@ -34,7 +35,9 @@ def ours(dem: tin.DEM, points: int, method: str) -> tuple[float, int, dict[str, 
         return True
 
     start = time.perf_counter()
-    mesh = _core.triangulate(dem.z, dem.metric(), initial=[], progress=watch, **arguments)
+    mesh = _core.triangulate(
+        dem.z, dem.metric(), progress=watch, **arguments, **Constraints().core_arguments()
+    )
     end = time.perf_counter()
     spent[last[0]] += end - last[1]
     return end - start, len(mesh.heights()), spent
