@@ -49,7 +49,7 @@ test-rust:
 	cargo test --release --quiet
 
 test-python: $(VENV)/tools
-	$(BIN)/python -m pytest --ignore=tests/qgis
+	$(BIN)/python -m pytest --ignore=tests/qgis -n auto --dist worksteal
 
 # The QGIS plugin as the plugin repository takes it.
 plugin:
