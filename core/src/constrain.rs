@@ -1,80 +1,12 @@
 //! Segments as edges of the mesh: recovered by flips (Sloan 1993), then kept. Where
 //! two of them cross, they meet in a vertex.
 
+use crate::label::{Label, Labels};
 use crate::locate::Location;
 use crate::mesh::{half_edge, next, prev, triangle_of, Mesh, NONE};
 use crate::predicate::{orient2d, Point};
 use crate::surface::lerp;
-use std::collections::{HashMap, VecDeque};
-
-/// The region of the valid pixels, see [`Label::winding`].
-pub const OUTLINE: u32 = 0;
-
-/// What a segment stands for.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Label {
-    /// How often the border of each region runs along the segment less how often
-    /// against it; the region lies on the positive side.
-    pub winding: Vec<(u32, i32)>,
-    /// A breakline: an edge of the result wherever it runs.
-    pub is_line: bool,
-    /// The surface runs straight between its ends, which have fixed heights.
-    pub is_hard: bool,
-}
-
-impl Label {
-    pub fn border(region: u32) -> Self {
-        Label { winding: vec![(region, 1)], ..Label::default() }
-    }
-
-    fn reversed(mut self) -> Self {
-        self.winding.iter_mut().for_each(|(_, count)| *count = -*count);
-        self
-    }
-
-    fn merge(&mut self, other: Label) {
-        for (region, count) in other.winding {
-            match self.winding.iter_mut().find(|w| w.0 == region) {
-                Some(w) => w.1 += count,
-                None => self.winding.push((region, count)),
-            }
-        }
-        self.is_line |= other.is_line;
-        self.is_hard |= other.is_hard;
-    }
-}
-
-/// The labels of the constrained edges, by their ends in ascending order.
-#[derive(Default)]
-pub struct Labels(HashMap<(u32, u32), Label>);
-
-impl Labels {
-    /// The label of the edge as seen from `a`.
-    pub fn get(&self, a: u32, b: u32) -> Option<Label> {
-        self.0.get(&(a.min(b), a.max(b))).map(|label| towards(a < b, label.clone()))
-    }
-
-    fn merge(&mut self, a: u32, b: u32, label: Label) {
-        self.0.entry((a.min(b), a.max(b))).or_default().merge(towards(a < b, label));
-    }
-
-    fn remove(&mut self, a: u32, b: u32) -> Option<Label> {
-        self.0.remove(&(a.min(b), a.max(b))).map(|label| towards(a < b, label))
-    }
-}
-
-/// 1 if the outline runs along the segment, -1 if against it, 0 if it does not.
-fn runs_along_outline(label: &Label) -> i64 {
-    label.winding.iter().find(|w| w.0 == OUTLINE).map_or(0, |w| i64::from(w.1.signum()))
-}
-
-fn towards(is_ascending: bool, label: Label) -> Label {
-    if is_ascending {
-        label
-    } else {
-        label.reversed()
-    }
-}
+use std::collections::VecDeque;
 
 /// Inserts segments between vertices of a mesh.
 pub struct Constrainer<'m> {
@@ -215,7 +147,7 @@ impl<'m> Constrainer<'m> {
             let step = match self.ahead(a, b) {
                 Some(Ahead::Along(h)) if self.mesh.origin(h) == a => Step::To(self.mesh.dest(h)),
                 Some(Ahead::Along(h)) => Step::To(self.mesh.origin(h)),
-                Some(Ahead::Through(h)) => self.recover(a, b, h, runs_along_outline(&label) == 0),
+                Some(Ahead::Through(h)) => self.recover(a, b, h, label.along_outline() == 0),
                 None => continue,
             };
             match step {
@@ -366,7 +298,7 @@ impl<'m> Constrainer<'m> {
         let (x, y) = (along(r.x, l.x), along(r.y, l.y));
         let both = |v: i128| [v.div_euclid(whole), v.div_euclid(whole) + i128::from(v.rem_euclid(whole) > 0)];
         let inner = |p: Point, a: Point, b: Point, label: &Label| {
-            i32::from(runs_along_outline(label) * orient2d(a, b, p).signum() > 0)
+            i32::from(label.along_outline() * orient2d(a, b, p).signum() > 0)
         };
         let rank = |p: Point| {
             let (dx, dy) = (i128::from(p.x) * whole - x, i128::from(p.y) * whole - y);

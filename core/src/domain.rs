@@ -1,10 +1,11 @@
 //! The mesh that refinement starts from: outline, breaklines and areas are edges of
 //! it, and every triangle is data, level or void.
 
-use crate::constrain::{Constrainer, Label, Labels, OUTLINE};
+use crate::constrain::Constrainer;
 use crate::crop::{crop_ring, crop_segment, signed_area, Vertex};
 use crate::error::{Error, Result};
 use crate::grid::{Grid, Height};
+use crate::label::{Label, Labels, OUTLINE};
 use crate::memory;
 use crate::mesh::{half_edge, triangle_of, Class, Mesh, NONE};
 use crate::order::insertion_order;

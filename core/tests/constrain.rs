@@ -4,7 +4,8 @@
 mod common;
 
 use common::{assert_sound, form, sorted, triangle_set, Random, FORMS};
-use dem2tin_core::constrain::{Constrainer, Label};
+use dem2tin_core::constrain::Constrainer;
+use dem2tin_core::label::Label;
 use dem2tin_core::mesh::{half_edge, Mesh};
 use dem2tin_core::predicate::{orient2d, Metric, Point, UNIT};
 use proptest::prelude::*;

@@ -2,7 +2,8 @@
 #![no_main]
 
 use arbitrary::{Arbitrary, Result, Unstructured};
-use dem2tin_core::constrain::{Constrainer, Label};
+use dem2tin_core::constrain::Constrainer;
+use dem2tin_core::label::Label;
 use dem2tin_core::mesh::{half_edge, Mesh};
 use dem2tin_core::predicate::{Metric, Point};
 use dem2tin_core_fuzz::{assert_sound, metric, point};

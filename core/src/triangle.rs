@@ -1,0 +1,111 @@
+//! Triangles and the numbers of their edges.
+//!
+//! Half-edge `h = 4 t + k` (k = 0, 1, 2) runs from corner k of triangle t to
+//! corner k + 1; its twin is the same edge seen from the neighbour. Triangles
+//! are positively oriented in (x, y).
+
+/// "No half-edge": the twin of an edge of the rectangle's border.
+pub const NONE: u32 = u32::MAX;
+
+// Bits of a triangle's flags: for edge k, constrained at k and hard at k + 3.
+pub(crate) const CONSTRAINED: u32 = 1;
+const HARD: u32 = 1 << 3;
+pub(crate) const EDGE: u32 = CONSTRAINED | HARD;
+const VOID: u32 = 1 << 6;
+const FLAT: u32 = 1 << 7;
+pub(crate) const CLASS: u32 = VOID | FLAT;
+
+/// What a triangle covers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Class {
+    /// Terrain, to be refined.
+    Data,
+    /// A part of the data that is kept level.
+    Flat,
+    /// No data: in no output.
+    Void,
+}
+
+/// One triangle and its three half-edges.
+#[derive(Clone, Copy, Debug)]
+pub struct Triangle {
+    pub v: [u32; 3],
+    pub twin: [u32; 3],
+    pub(crate) flags: u32,
+    /// Counts the changes of the triangle, so that queue entries can grow stale.
+    pub version: u32,
+}
+
+impl Triangle {
+    pub(crate) fn new(v: [u32; 3], class: u32) -> Self {
+        Triangle { v, twin: [NONE; 3], flags: class, version: 0 }
+    }
+
+    pub fn is_void(&self) -> bool {
+        self.flags & VOID != 0
+    }
+
+    pub fn class(&self) -> Class {
+        match self.flags & CLASS {
+            0 => Class::Data,
+            FLAT => Class::Flat,
+            _ => Class::Void,
+        }
+    }
+
+    pub(crate) fn set_class(&mut self, class: Class) {
+        let bits = match class {
+            Class::Data => 0,
+            Class::Flat => FLAT,
+            Class::Void => VOID,
+        };
+        self.flags = self.flags & !CLASS | bits;
+    }
+
+    pub fn is_constrained(&self, k: usize) -> bool {
+        self.flags >> k & CONSTRAINED != 0
+    }
+
+    /// Whether the surface along edge k is fixed: it runs straight between vertices of
+    /// fixed height, whatever the data are there.
+    pub fn is_hard(&self, k: usize) -> bool {
+        self.flags >> k & HARD != 0
+    }
+
+    pub fn has_hard_edge(&self) -> bool {
+        self.flags & (HARD | HARD << 1 | HARD << 2) != 0
+    }
+
+    /// The same triangle in a mesh with other numbers.
+    pub(crate) fn renumbered(&self, vertex: impl FnMut(u32) -> u32, twin: impl FnMut(u32) -> u32) -> Self {
+        Triangle { v: self.v.map(vertex), twin: self.twin.map(twin), ..*self }
+    }
+}
+
+#[inline]
+pub fn next(h: u32) -> u32 {
+    if h & 3 == 2 {
+        h - 2
+    } else {
+        h + 1
+    }
+}
+
+#[inline]
+pub fn prev(h: u32) -> u32 {
+    if h & 3 == 0 {
+        h + 2
+    } else {
+        h - 1
+    }
+}
+
+#[inline]
+pub fn half_edge(t: u32, k: u32) -> u32 {
+    t << 2 | k
+}
+
+#[inline]
+pub fn triangle_of(h: u32) -> u32 {
+    h >> 2
+}
