@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tin.dem import DEM
 
 MIN_POINTS = 4
-MAX_POINTS = 2**32 - 1
+MAX_POINTS = 2**29  # the core numbers edges, six a vertex, in 32 bits
 NOISE_STOP = "auto"
 MAX_SCALES = 32
 MAX_SIGMA = 100.0  # pixels; the core refuses more

@@ -76,6 +76,9 @@ const MAX_SIGMA: f64 = 100.0;
 /// Widest tolerance of the outline, in pixels: beyond it its search takes minutes.
 const MAX_OUTLINE: f64 = 100.0;
 
+/// Half-edges, six a vertex and numbered by fours, must fit 32 bits.
+const MAX_POINTS: usize = 1 << 29;
+
 /// Squares and products of heights must not overflow.
 const MAX_HEIGHT: f64 = 1e100;
 
@@ -119,7 +122,8 @@ pub fn triangulate<T: Height>(
     refiner.surface.sample(&image);
     refiner.insert(&options.constraints.pixels, &image);
     let largest = data.z().iter().fold(0.0f64, |most, z| most.max(z.to_f64().abs()));
-    let is_too_few = refiner.count() > options.max_points;
+    let most = options.max_points.min(MAX_POINTS);
+    let is_too_few = refiner.count() > most;
     let mut stop = Stop::Tolerance;
     for (i, &sigma) in scales.iter().enumerate() {
         if i > 0 {
@@ -130,7 +134,7 @@ pub fn triangulate<T: Height>(
             }
         }
         progress.stage("refine")?;
-        let limit = options.max_points.min(refiner.count().saturating_add(options.points_per_scale));
+        let limit = most.min(refiner.count().saturating_add(options.points_per_scale));
         let mut rule = options.rule;
         if sigma != [0.0; 2] {
             // Smoothing rounds: without it nothing is known below this.
@@ -278,5 +282,5 @@ fn restore_bound<T: Height>(
         }
     }
     progress.stage("refine")?;
-    refiner.run(data, &options.rule, options.max_points, progress)
+    refiner.run(data, &options.rule, options.max_points.min(MAX_POINTS), progress)
 }
