@@ -68,8 +68,8 @@ class DemToTin(Algorithm):
                 tr("raster of heights; its NoData pixels stay outside the TIN"),
             ),
             *parameters_of("input", "INPUT"),
-            *parameters_of("constraints", "INPUT"),
             *parameters_of("method", "INPUT"),
+            *parameters_of("constraints", "INPUT"),
             with_help(
                 QgsProcessingParameterExtent("EXTENT", tr("Extent"), optional=True),
                 tr("use only the pixels whose centres lie in it"),
