@@ -305,14 +305,51 @@ def test_import_and_arrays_need_numpy_alone():
         "import sys\n"
         "for name in ('shapely', 'fiona', 'rasterio', 'pyproj'): sys.modules[name] = None\n"
         "from tin import features\n"
-        "from tin.errors import InputError\n"
         "assert len(features.lines([[[0, 0], [1, 1]]], None)) == 1\n"
         "assert len(features.points({'type': 'Point', 'coordinates': [1, 2]}, None)) == 1\n"
-        "try: features.areas([[0, 0], [1, 1], [0, 1]], None)\n"
-        "except InputError as error: assert error.code == 'missing-library', error\n"
-        "else: raise SystemExit('no error')\n"
+        "assert len(features.areas([[0, 0], [1, 1], [0, 1]], None)[0][0]) == 4\n"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_areas_without_shapely(monkeypatch):
+    """As in QGIS: the rings are closed and cleaned, and give the same TIN whichever way they turn."""
+    bent = np.array([[2.0, 2, 9], [7, 2, 9], [7, 2, 9], [NAN, 5, 9], [6, 7, 9], [3, 6, 9]])
+    source = dem(crs=UTM)
+    x, y = source.pixel_to_map(np.array([0.0, 40.3, 52.1]), np.array([0.0, 30.7, 11.9]))
+    lake = [RINGS[0][:, :2] * 100 + (x[1], y[1]), RINGS[1][:, :2] * 100 + (x[1], y[1])]
+    clip = [RINGS[0][:, :2] * 200 + (x[2], y[2] - 1600)]
+    whole = [[RINGS[0], RINGS[1]], [bent]]
+    with_shapely = features.areas(whole, UTM)
+    meshes = [tin.triangulate(source, max_points=200, flat=[lake], clip=clip)]
+    monkeypatch.setitem(sys.modules, "shapely", None)
+    found = features.areas(whole, UTM)
+    assert [len(area) for area in found] == [2, 1]
+    same(found[0], RINGS)
+    same(found[1], [bent[[0, 1, 4, 5, 0]]])
+    for one, other in zip(found, with_shapely):
+        assert {tuple(v) for ring in one for v in ring} == {tuple(v) for ring in other for v in ring}
+    incomplete = RINGS[0].copy()
+    incomplete[2, 2] = NAN
+    without, with_z = features.areas([[incomplete, RINGS[1]], [RINGS[0]]], UTM)
+    assert np.isnan(np.concatenate(without)[:, 2]).all()
+    assert not np.isnan(with_z[0]).any()
+    nothing = [[(0, 0), (1, 1)], [(5, 5)] * 4, [(0, 0), (1, 1), (0, 0), (1, 1)], [(0, 0), (NAN, 1), (2, 2)]]
+    assert features.areas([[np.array(ring, float), RINGS[1][:, :2]] for ring in nothing], UTM) == []
+    assert [len(area) for area in features.areas([[RINGS[0][:, :2], nothing[0]]], UTM)] == [1]
+    assert features.areas([], UTM) == features.areas(np.empty((0, 3)), UTM) == []
+    assert code(features.areas, [[0.0, 1.0], [2.0]]) == "bad-features"
+    for turn in (slice(None), slice(None, None, -1)):
+        turned = [ring[turn] for ring in lake]
+        meshes.append(tin.triangulate(source, max_points=200, flat=[turned], clip=[clip[0][turn]]))
+    for mesh in meshes[1:]:
+        np.testing.assert_array_equal(mesh.vertices, meshes[0].vertices)
+        np.testing.assert_array_equal(mesh.triangles, meshes[0].triangles)
+    bow_tie = np.array([(0, 0), (2000, 2000), (2000, 0), (0, 2000)], float) + (x[1], y[1])
+    line = np.array([(0, 0), (100, 100), (200, 200)], float) + (x[1], y[1])
+    for crossing in (bow_tie, line):
+        tin.triangulate(source, max_points=200, flat=[[crossing]]).check()
+    tin.triangulate(source, max_points=200, clip=[[bow_tie]]).check()
 
 
 def test_many_vertices_are_no_loop():

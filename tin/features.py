@@ -92,7 +92,8 @@ def areas(
 ) -> list[list[Coordinates]]:
     """The polygons, made valid: one that crosses itself becomes several.
 
-    Vertices whose x or y is not finite are left out, and what has no area.
+    Vertices whose x or y is not finite are left out, and what has no area. Without shapely, as in QGIS, the
+    rings stay as they are, only closed; the core gives the same TIN for valid ones, however they turn.
 
     Returns:
         the closed rings of each polygon, the exterior first and counter-clockwise, the holes clockwise:
@@ -102,13 +103,15 @@ def areas(
         InputError: "not-polygons", "bad-features", "bad-crs", and the codes of `vector.read`.
     """
     found = gather(value, crs, shapes.EXTERIOR, label, allow_remote)
-    if not len(found.xyz):
+    xyz, ring, owner = _rings(found)
+    if not len(xyz):
         return []
     try:
         import shapely
-    except ImportError as error:
-        raise InputError("missing-library", f"{label}: polygons need shapely: pip install shapely") from error
-    polygons = _valid(_polygons(found))
+    except ImportError:
+        return _closed(xyz, ring, owner)
+    with np.errstate(invalid="ignore"):  # where z is NaN
+        polygons = _valid(shapely.polygons(shapely.linearrings(xyz, indices=ring), indices=owner))
     rings, owners = shapely.get_rings(polygons, return_index=True)
     is_exterior = np.r_[True, np.diff(owners) != 0][: len(rings)]
     wrong = shapely.is_ccw(rings) != is_exterior
@@ -318,26 +321,43 @@ def _split(xyz: Coordinates, path: npt.NDArray[np.int64], at_least: int = 1) -> 
     return [xyz[start:end] for start, end in zip(ends, ends[1:]) if end - start >= at_least]
 
 
-def _polygons(found: Shapes) -> npt.NDArray[Any]:
-    """Shapely polygons of the rings; what has fewer than three vertices is left out."""
-    import shapely
+def _rings(found: Shapes) -> tuple[Coordinates, npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Vertices of the rings, which are left open, the ring of each, and the polygon of each ring.
 
+    What has fewer than three different vertices is left out.
+    """
     xyz, ring, _ = _finite(found)
     xyz, ring = _without_repeats(xyz, ring)
     last = np.r_[np.diff(ring) != 0, True][: len(ring)]
     first = np.searchsorted(ring, ring[last])
     closing = np.flatnonzero(last)[(xyz[first, :2] == xyz[last, :2]).all(axis=1)]
-    xyz, ring = np.delete(xyz, closing, axis=0), np.delete(ring, closing)  # shapely closes them all alike
+    xyz, ring = np.delete(xyz, closing, axis=0), np.delete(ring, closing)  # they are all closed alike
     polygon = np.cumsum(found.kinds == shapes.EXTERIOR) - 1
-    is_ring = np.bincount(ring, minlength=len(polygon)) >= 3
+    is_ring = _different(xyz, ring, len(polygon)) >= 3
     is_ring &= is_ring[found.kinds == shapes.EXTERIOR][polygon]  # no hole without its exterior
     keep = is_ring[ring]
     xyz, ring = xyz[keep], ring[keep]
     numbers, ring = np.unique(ring, return_inverse=True)
-    with np.errstate(invalid="ignore"):  # where z is NaN
-        rings = shapely.linearrings(_z_of_all(xyz, polygon[numbers][ring]), indices=ring)
-    owners = np.unique(polygon[numbers], return_inverse=True)[1]
-    return np.atleast_1d(shapely.polygons(rings, indices=owners)) if len(rings) else np.array([], object)
+    xyz = _z_of_all(xyz, polygon[numbers][ring])
+    return xyz, ring, np.unique(polygon[numbers], return_inverse=True)[1]
+
+
+def _different(xyz: Coordinates, path: npt.NDArray[np.int64], paths: int) -> npt.NDArray[np.int64]:
+    """How many places the vertices of each path have."""
+    order = np.lexsort((xyz[:, 1], xyz[:, 0], path))
+    xy, path = xyz[order, :2], path[order]
+    is_new = np.r_[True, (np.diff(path) != 0) | (np.diff(xy, axis=0) != 0).any(axis=1)][: len(path)]
+    return np.bincount(path[is_new], minlength=paths)
+
+
+def _closed(
+    xyz: Coordinates, ring: npt.NDArray[np.int64], owner: npt.NDArray[np.int64]
+) -> list[list[Coordinates]]:
+    """The closed rings of each polygon."""
+    found: list[list[Coordinates]] = [[] for _ in range(int(owner[-1]) + 1)]
+    for polygon, path in zip(owner.tolist(), _split(xyz, ring)):
+        found[polygon].append(np.concatenate([path, path[:1]]))
+    return found
 
 
 def _z_of_all(xyz: Coordinates, polygon: npt.NDArray[np.int64]) -> Coordinates:
@@ -348,9 +368,10 @@ def _z_of_all(xyz: Coordinates, polygon: npt.NDArray[np.int64]) -> Coordinates:
     return xyz
 
 
-def _valid(polygons: npt.NDArray[Any]) -> Any:
+def _valid(polygons: Any) -> Any:
     import shapely
 
+    polygons = np.atleast_1d(polygons)
     wrong = ~shapely.is_valid(polygons)
     polygons[wrong] = shapely.make_valid(polygons[wrong])
     parts = shapely.get_parts(shapely.get_parts(polygons))  # collections may hold multipolygons

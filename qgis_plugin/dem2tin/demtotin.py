@@ -13,6 +13,7 @@ from qgis.core import (
 
 from . import reading, writing
 from .algorithm import Algorithm, with_help
+from .constraints import read_constraints
 from .core import tr
 from .parameters import parameters_of, values_of
 from .results import Results
@@ -23,8 +24,10 @@ STAGES = {
     "despike": ("Removing spikes", 12, 18),
     "smooth": ("Smoothing", 18, 30),
     "refine": ("Refining", 30, 55),
-    "fit": ("Fitting heights", 55, 70),
-    "flip": ("Flipping edges", 70, 75),
+    "order": ("Ordering the points", 55, 56),
+    "fit": ("Fitting heights", 56, 70),
+    "flip": ("Flipping edges", 70, 74),
+    "measure": ("Measuring the errors", 74, 75),
 }
 
 
@@ -66,6 +69,7 @@ class DemToTin(Algorithm):
             ),
             *parameters_of("input", "INPUT"),
             *parameters_of("method", "INPUT"),
+            *parameters_of("constraints", "INPUT"),
             with_help(
                 QgsProcessingParameterExtent("EXTENT", tr("Extent"), optional=True),
                 tr("use only the pixels whose centres lie in it"),
@@ -75,12 +79,6 @@ class DemToTin(Algorithm):
                     "MASK", tr("Mask"), [QgsProcessing.TypeVectorPolygon], optional=True
                 ),
                 tr("use only the pixels whose centres lie in one of these polygons"),
-            ),
-            with_help(
-                QgsProcessingParameterFeatureSource(
-                    "POINTS", tr("Points to keep"), [QgsProcessing.TypeVectorPoint], optional=True
-                ),
-                tr("their nearest pixels become vertices of the TIN; points outside the DEM are left out"),
             ),
         ]
         outputs = [
@@ -122,7 +120,7 @@ class DemToTin(Algorithm):
         from .algorithm import Job
 
         try:
-            for group in ("input", "method", "output"):
+            for group in ("input", "constraints", "method", "output"):
                 values_of(group, Job(self, parameters, context, None))
         except TinError as error:
             return False, str(error)
@@ -135,18 +133,17 @@ class DemToTin(Algorithm):
         layer = self.parameterAsRasterLayer(job.parameters, "INPUT", job.context)
         if layer is None:
             raise QgsProcessingException(self.invalidRasterError(job.parameters, "INPUT"))
-        method, output = values_of("method", job), values_of("output", job)
+        options = {**values_of("constraints", job), **values_of("method", job)}
+        output = values_of("output", job)
         writing.refuse_existing(job)
+        # These first, because what is wrong with them shows sooner than a large DEM is read.
+        options.update(read_constraints(job, layer.crs()))
         dem = self._read(layer, job)
-        points = None
-        if job.given("POINTS"):
-            source = self.parameterAsSource(job.parameters, "POINTS", job.context)
-            points = reading.read_points(source, layer.crs(), job)
         self._warn(dem, job)
-        mesh = triangulate(
-            dem, points=points, progress=lambda stage, done: _advance(job, stage, done), **method
-        )
+        mesh = triangulate(dem, progress=lambda stage, done: _advance(job, stage, done), **options)
         job.check()
+        for warning in mesh.report.warnings:
+            job.feedback.pushWarning(warning)
         job.feedback.pushInfo(str(mesh.report))
         results = Results(job, mesh, layer, output).write()
         errors = mesh.error()

@@ -4,14 +4,17 @@ from qgis.core import (
     QgsProcessingParameterBand,
     QgsProcessingParameterBoolean,
     QgsProcessingParameterEnum,
+    QgsProcessingParameterFeatureSource,
     QgsProcessingParameterNumber,
     QgsProcessingParameterString,
 )
 
 from .algorithm import with_help
+from .constraints import LAYER_TYPES, LAYERS
 from .core import tr
 
 NOT_HERE = {"allow_remote", "to_crs"}  # the layer is open already, and QGIS reprojects by itself
+FILE_OF = "vector file of "  # how the help of an option begins that is a layer here
 AS_METHOD, YES, NO = "as the method", "yes", "no"
 
 
@@ -28,10 +31,13 @@ def parameters_of(group, raster):
 
 
 def values_of(group, job):
-    """Return the values given, by the option's names; raises OptionError for what the core refuses."""
+    """Return the values given, by the option's names; raises OptionError for what the core refuses.
+
+    Layers are left to ``read_constraints``.
+    """
     values = {}
     for option in shown(group):
-        value = _value(option, job)
+        value = None if option.name in LAYERS else _value(option, job)
         if value is not None:
             option.read(value)
             values[option.name] = value
@@ -42,6 +48,9 @@ def _parameter(option, group, raster):
     name, title = option.name.upper(), tr(option.name.replace("_", " ").capitalize())
     if option.name == "band":
         made = QgsProcessingParameterBand(name, title, option.default, raster, optional=True)
+    elif option.name in LAYERS:
+        types = [LAYER_TYPES[kind] for kind in LAYERS[option.name]]
+        made = QgsProcessingParameterFeatureSource(name, title, types, optional=True)
     elif option.choices:
         made = _enum(name, title, option.choices, option.default)
     elif option.is_flag and option.default is None:
@@ -49,9 +58,8 @@ def _parameter(option, group, raster):
     elif option.is_flag:
         made = QgsProcessingParameterBoolean(name, title, option.default, optional=True)
     elif _is_text(option):
-        made = QgsProcessingParameterString(
-            name, f"{title} ({option.metavar})", option.default, optional=True
-        )
+        default = None if option.default is None else str(option.default)
+        made = QgsProcessingParameterString(name, f"{title} ({option.metavar})", default, optional=True)
     else:
         kind = (
             QgsProcessingParameterNumber.Double
@@ -60,7 +68,8 @@ def _parameter(option, group, raster):
         )
         made = QgsProcessingParameterNumber(name, title, kind, option.default, optional=True)
     unit = f" [{tr(option.unit)}]" if option.unit else ""
-    return with_help(made, tr(option.help) + unit, advanced=option.advanced or group == "output")
+    text = option.help[len(FILE_OF) :] if option.help.startswith(FILE_OF) else option.help
+    return with_help(made, tr(text) + unit, advanced=option.advanced or group == "output")
 
 
 def _enum(name, title, choices, default):
@@ -70,8 +79,8 @@ def _enum(name, title, choices, default):
 
 
 def _is_text(option):
-    """Whether an option takes more than a plain number: 5%, median, 2px,1px."""
-    return not option.metavar or any(mark in option.metavar for mark in "|%,")
+    """Whether an option takes more than a plain number: 5%, median, 2px."""
+    return not option.metavar or any(mark in option.metavar for mark in "|%,") or _takes(option, "1px")
 
 
 def _takes(option, value):

@@ -1,4 +1,4 @@
-"""From QGIS layers to numpy: the DEM, points, masks and TIN polygons. Through GDAL and QGIS alone."""
+"""From QGIS layers to numpy: the DEM, masks and TIN polygons. Through GDAL and QGIS alone."""
 
 import math
 
@@ -95,16 +95,6 @@ def read_dem(layer, band, job, *, extent=None, mask=None, z_factor=1.0):
         nodata=dem.nodata,
         name=dem.name,
     )
-
-
-def read_points(source, crs, job):
-    """Return the (n, 2) positions of point features in ``crs``."""
-    request = _in_crs(source, crs, job).setSubsetOfAttributes([])
-    points = []
-    for feature in source.getFeatures(request):
-        job.check()
-        points += [(vertex.x(), vertex.y()) for vertex in feature.geometry().vertices()]
-    return np.array(points, dtype=np.float64).reshape(-1, 2)
 
 
 def read_tin(source, crs, job):

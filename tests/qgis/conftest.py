@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -101,3 +102,37 @@ def command():
         return made.stdout
 
     return command
+
+
+@pytest.fixture
+def process(tmp_path):
+    """``process(*arguments, core=True)``: qgis_process in a fresh profile, with the zip's folder."""
+    make_zip = ROOT / "qgis_plugin" / "make_zip.py"
+    subprocess.run([sys.executable, make_zip, tmp_path / "x.zip"], check=True)
+    plugins = tmp_path / "plugins"
+    with zipfile.ZipFile(tmp_path / "x.zip") as archive:
+        archive.extractall(plugins)
+    import tin
+
+    core = str(Path(tin.__file__).parents[1])
+
+    def process(*arguments, with_core=True):
+        environment = {
+            **{name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
+            "QGIS_PLUGINPATH": str(plugins),
+            "HOME": str(tmp_path),
+            "QGIS_CUSTOM_CONFIG_PATH": str(tmp_path / "profile"),
+            "PYTHONNOUSERSITE": "1",
+            **({"PYTHONPATH": core} if with_core else {}),
+        }
+        return subprocess.run(
+            ["qgis_process.bin", *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            check=False,
+            env=environment,
+            cwd=tmp_path,
+        )
+
+    assert process("plugins", "enable", "dem2tin").returncode == 0
+    return process

@@ -7,17 +7,26 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from osgeo import gdal, ogr
 from qgis.core import (
+    QgsFeature,
+    QgsFillSymbol,
+    QgsGeometry,
     QgsLayerTreeModel,
+    QgsLineSymbol,
+    QgsPointXY,
     QgsProcessingContext,
     QgsProcessingOutputLayerDefinition,
     QgsRasterLayer,
+    QgsSingleSymbolRenderer,
+    QgsVectorLayer,
+    QgsWkbTypes,
 )
 from qgis.gui import QgsBrowserGuiModel, QgsLayerTreeView, QgsMapCanvas, QgsMessageBar
 from qgis.PyQt.QtCore import QEvent
 from qgis.PyQt.QtGui import QColor, QImage
 from qgis.PyQt.QtWidgets import QMainWindow, QSplitter
-from support import USGS, Feedback
+from support import USGS, Feedback, read_raster
 
 FOLDER = Path(os.environ.get("QGIS_PICTURES", "out/qgis"))
 
@@ -205,6 +214,58 @@ def test_results_open_styled_and_in_place(app, project, provider, dem, tmp_path)
     keep(window(app, project, [tin], part), "qgis-tin")
     keep(window(app, project, [mesh]), "qgis-mesh")
     keep(window(app, project, [errors], part), "qgis-errors")
+
+
+def ridge_and_lake(z, transform):
+    """A ridge, followed from row to row, and what water at 300 m would cover to the east."""
+    x, dx, _, y, _, dy = transform
+    rows, col, ridge = range(330, 235, -5), 178, []
+    for row in rows:
+        col += z[row, col - 6 : col + 7].argmax() - 6
+        ridge.append(QgsPointXY(x + (col + 0.5) * dx, y + (row + 0.5) * dy))
+    ridge = QgsGeometry.fromPolylineXY(ridge)
+    low = np.zeros(z.shape, np.uint8)
+    low[215:335, 215:300] = z[215:335, 215:300] < 300
+    raster = gdal.GetDriverByName("MEM").Create("", low.shape[1], low.shape[0], 1, gdal.GDT_Byte)
+    raster.SetGeoTransform(transform)
+    raster.GetRasterBand(1).WriteRaster(0, 0, low.shape[1], low.shape[0], low.tobytes())
+    memory = ogr.GetDriverByName("Memory").CreateDataSource("")
+    shapes = memory.CreateLayer("low", None, ogr.wkbPolygon)
+    gdal.Polygonize(raster.GetRasterBand(1), raster.GetRasterBand(1), shapes, -1)
+    largest = max((feature.geometry().Clone() for feature in shapes), key=lambda shape: shape.Area())
+    lake = QgsGeometry.fromWkt(largest.ExportToWkt()).simplify(60)
+    return ridge, lake
+
+
+def drawn(project, name, geometry, symbol):
+    kind = QgsWkbTypes.displayString(geometry.wkbType())
+    layer = QgsVectorLayer(f"{kind}?crs={project.crs().authid()}", name, "memory")
+    feature = QgsFeature()
+    feature.setGeometry(geometry)
+    assert layer.dataProvider().addFeature(feature)
+    layer.setRenderer(QgsSingleSymbolRenderer(symbol))
+    project.addMapLayer(layer)
+    return layer
+
+
+def test_breaklines_and_lakes(app, project, provider, dem):
+    z, dataset = read_raster(USGS)
+    ridge, lake = ridge_and_lake(z, dataset.GetGeoTransform())
+    line = QgsLineSymbol.createSimple({"line_color": "#d7191c", "line_width": "0.7"})
+    water = {"color": "90,150,220,70", "outline_color": "#1f5fa8", "outline_width": "0.5"}
+    ridge = drawn(project, "ridge", ridge, line)
+    lake = drawn(project, "lake", lake, QgsFillSymbol.createSimple(water))
+    given = {"BREAKLINES": ridge.id(), "FLAT": lake.id(), "OUTPUT": "TEMPORARY_OUTPUT"}
+    load(project, provider, "demtotin", {"INPUT": dem.id(), "MAX_POINTS": "4000", **given})
+    tin = layer_named(project, "TIN of jacksboro")
+    level = [f["slope"] for f in tin.getFeatures() if next(lake.getFeatures()).geometry().contains(
+        f.geometry().centroid())]  # fmt: skip
+    assert len(level) > 20
+    assert np.mean(np.array(level) == 0) > 0.9
+    part = ridge.extent()
+    part.combineExtentWith(lake.extent())
+    part.scale(1.05)
+    keep(window(app, project, [ridge, lake, tin], part), "qgis-constraints")
 
 
 def test_report(app, run, tmp_path):
