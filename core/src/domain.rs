@@ -71,6 +71,13 @@ impl Plan {
         self.point(Point { x: unit(col, self.right), y: unit(row, self.bottom) }, z)
     }
 
+    fn spot(&mut self, vertex: Vertex) {
+        let vertex = rounded(vertex);
+        if (0.0..=self.right).contains(&vertex[0]) && (0.0..=self.bottom).contains(&vertex[1]) {
+            self.vertex(vertex);
+        }
+    }
+
     fn segment(&mut self, a: u32, b: u32, label: Label) {
         if a != b {
             self.segments.push((a, b, label));
@@ -86,7 +93,8 @@ impl Plan {
 
     fn line(&mut self, line: &[Vertex]) {
         for pair in line.windows(2) {
-            if let Some((a, b)) = crop_segment(pair[0], pair[1], self.right, self.bottom) {
+            let (a, b) = (rounded(pair[0]), rounded(pair[1]));
+            if let Some((a, b)) = crop_segment(a, b, self.right, self.bottom) {
                 let label =
                     Label { is_line: true, is_hard: !(a[2].is_nan() || b[2].is_nan()), ..Label::default() };
                 let (a, b) = (self.vertex(a), self.vertex(b));
@@ -110,6 +118,12 @@ impl Plan {
             }
         }
     }
+}
+
+/// The vertex moved to the lattice: a hair beyond the border must not count as outside.
+fn rounded([col, row, z]: Vertex) -> Vertex {
+    let unit = f64::from(UNIT);
+    [(col * unit).round() / unit, (row * unit).round() / unit, z]
 }
 
 /// The mesh of all constraints over `grid`, with the heights that vertices keep.
@@ -140,10 +154,8 @@ pub fn domain<T: Height>(
     for (region, (polygon, _)) in (FIRST_FLAT..).zip(&constraints.flat) {
         plan.polygon(polygon, region);
     }
-    let is_inside = |v: &&Vertex| (0.0..=plan.right).contains(&v[0]) && (0.0..=plan.bottom).contains(&v[1]);
-    let points: Vec<Vertex> = constraints.points.iter().filter(is_inside).copied().collect();
-    for point in points {
-        plan.vertex(point);
+    for &point in &constraints.points {
+        plan.spot(point);
     }
     for line in &constraints.lines {
         plan.line(line);
@@ -310,10 +322,16 @@ fn level<T: Height>(
 
 /// Median of the pixels in the triangles, or of their corners if they hold none.
 fn median_height<T: Height>(mesh: &Mesh, grid: &Grid<T>, triangles: &[u32]) -> f64 {
-    let mut heights = Vec::new();
+    let mut pixels = Vec::new();
     for &t in triangles {
-        for_each_pixel(grid, mesh.corners(t), [0.0; 3], Corners::Included, |_, _, z, _| heights.push(z));
+        for_each_pixel(grid, mesh.corners(t), [0.0; 3], Corners::Included, |col, row, z, _| {
+            pixels.push(((row, col), z));
+        });
     }
+    // Those on edges are seen from both sides.
+    pixels.sort_unstable_by_key(|&(pixel, _)| pixel);
+    pixels.dedup_by_key(|&mut (pixel, _)| pixel);
+    let mut heights: Vec<f64> = pixels.into_iter().map(|(_, z)| z).collect();
     if heights.is_empty() {
         let corners = triangles.iter().flat_map(|&t| mesh.corners(t));
         heights.extend(corners.map(|p| grid.interpolate(p)));

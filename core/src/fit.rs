@@ -44,7 +44,8 @@ struct Normal<'m> {
 }
 
 impl<'m> Normal<'m> {
-    /// The matrix, and one right-hand side for each of the `K` values a pixel has.
+    /// The matrix, and one right-hand side for each of the `K` values a pixel has, the
+    /// first being its height less that of the surface.
     /// `value(pixel, height, plane)`: `plane` is the height of the surface.
     fn assemble<T: Height, const K: usize>(
         surface: &'m Surface,
@@ -60,6 +61,7 @@ impl<'m> Normal<'m> {
         let mut sides: [Vec<f64>; K] = std::array::from_fn(|_| vec![0.0; z.len()]);
         let mut inverse = vec![0.0; z.len()];
         let count = blocks.len();
+        let mut is_seen = vec![false; vertices];
         for (t, m) in blocks.iter_mut().enumerate() {
             let triangle = mesh.triangle(t as u32);
             if triangle.is_void() {
@@ -87,6 +89,15 @@ impl<'m> Normal<'m> {
                     }
                 }
             });
+            // A vertex that stands on no pixel of its own gets the image's height there as
+            // an observation, or it might be seen by hardly any pixel and fly off.
+            for (k, &v) in v.iter().enumerate().filter(|(_, &v)| !std::mem::replace(&mut is_seen[v], true)) {
+                let is_pixel = p[k].as_pixel().is_some_and(|(col, row)| grid.is_valid(col, row));
+                if !is_pixel {
+                    block[[0, 3, 5][k]] += 1.0;
+                    loads[0][k] += grid.interpolate(p[k]) - z[v];
+                }
+            }
             *m = block;
             for (side, load) in sides.iter_mut().zip(loads) {
                 for (v, load) in v.into_iter().zip(load) {

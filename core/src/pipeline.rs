@@ -1,5 +1,6 @@
 //! From heights to a mesh: the stages in their order, each a switch of its own.
 
+use crate::burn::{burn, hard_pixels};
 use crate::domain::{domain, Constraints};
 use crate::error::{Error, Result};
 use crate::fit::{fit_heights, flip_pass, Blend};
@@ -82,7 +83,7 @@ const MAX_POINTS: usize = 1 << 29;
 /// Squares and products of heights must not overflow.
 const MAX_HEIGHT: f64 = 1e100;
 
-/// What smoothing may round off a height, as a part of the largest one.
+/// What arithmetic may round off a height, as a part of the largest one.
 const ROUNDING: f64 = 1e-13;
 
 /// Residuals up to this many standard deviations of the noise are taken for noise.
@@ -97,10 +98,13 @@ pub fn triangulate<T: Height>(
     progress: &mut Progress,
 ) -> Result<Triangulation> {
     validate(options, grid)?;
-    let Images { data, spikes, noise } = prepare(grid, options, progress)?;
-    let data = Grid::new(&data, grid.rows(), grid.cols())?;
+    let Images { mut data, spikes, noise } = prepare(grid, options, progress)?;
     progress.stage("outline")?;
-    let surface = domain(&data, metric, &options.shape, &options.constraints, progress)?;
+    let unmarked = Grid::new(&data, grid.rows(), grid.cols())?;
+    let surface = domain(&unmarked, metric, &options.shape, &options.constraints, progress)?;
+    let hard = hard_pixels(&surface, grid.rows(), grid.cols());
+    burn(&mut data, &hard);
+    let data = Grid::new(&data, grid.rows(), grid.cols())?;
 
     progress.stage("smooth")?;
     let bounded = options.has_tolerance && options.rule.bound == 1.0;
@@ -117,6 +121,7 @@ pub fn triangulate<T: Height>(
         scales.push([0.0; 2]);
     }
 
+    burn(&mut finest, &hard);
     let mut refiner = Refiner::new(surface);
     let image = Grid::new(&finest, grid.rows(), grid.cols())?;
     refiner.surface.sample(&image);
@@ -129,6 +134,7 @@ pub fn triangulate<T: Height>(
         if i > 0 {
             progress.stage("smooth")?;
             finest = gaussian(&data, sigma, progress)?;
+            burn(&mut finest, &hard);
             if bounded && sigma == [0.0; 2] {
                 refiner.surface.sample(&data);
             }
@@ -136,8 +142,8 @@ pub fn triangulate<T: Height>(
         progress.stage("refine")?;
         let limit = most.min(refiner.count().saturating_add(options.points_per_scale));
         let mut rule = options.rule;
-        if sigma != [0.0; 2] {
-            // Smoothing rounds: without it nothing is known below this.
+        if sigma != [0.0; 2] || !hard.is_empty() {
+            // Smoothing rounds, and so do heights along an edge.
             rule.tolerance = rule.tolerance.max(ROUNDING * largest);
         }
         if options.stop_at_noise {

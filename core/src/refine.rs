@@ -150,24 +150,17 @@ impl Refiner {
     /// Scans triangle `t` and queues its candidate unless it is within the
     /// tolerance. Returns the work done in pixels.
     fn enqueue<T: Height>(&mut self, grid: &Grid<T>, rule: &Rule, t: u32) -> usize {
-        let triangle = *self.surface.mesh.triangle(t);
+        let triangle = self.surface.mesh.triangle(t);
         if triangle.class() != Class::Data {
             return 0;
         }
         let version = triangle.version;
         let (p, z) = (self.surface.mesh.corners(t), self.surface.heights(t));
-        let corners = if triangle.has_hard_edge() {
-            Corners::ExcludedWith([0, 1, 2].map(|k| triangle.is_hard(k)))
-        } else {
-            Corners::Excluded
-        };
         let is_max = rule.priority == 1.0 && rule.candidate == 1.0 && rule.bound == 1.0;
-        let worst = match (is_max, corners) {
-            // Told apart here, so that the common walk is compiled without tests of edges.
-            (true, Corners::Excluded) => worst(grid, p, z, Corners::Excluded),
-            (true, _) => worst(grid, p, z, corners),
-            (false, Corners::Excluded) => collect(grid, p, z, Corners::Excluded, &mut self.errors),
-            (false, _) => collect(grid, p, z, corners, &mut self.errors),
+        let worst = if is_max {
+            worst(grid, p, z, Corners::Excluded)
+        } else {
+            collect(grid, p, z, Corners::Excluded, &mut self.errors)
         };
         let work = worst.count * if is_max { 1 } else { 4 };
         // The maximum bounds every quantile; what fits exactly needs no point.
@@ -182,7 +175,7 @@ impl Refiner {
             if rule.candidate < 1.0 {
                 let at = select(&mut self.errors, rule.candidate);
                 let mut found = false;
-                for_each_pixel(grid, p, z, corners, |c, r, z, plane| {
+                for_each_pixel(grid, p, z, Corners::Excluded, |c, r, z, plane| {
                     if !found && (z - plane).abs() == at {
                         (col, row, found) = (c, r, true);
                     }

@@ -47,8 +47,6 @@ impl Plane {
 pub enum Corners {
     Included,
     Excluded,
-    /// Nor those on the edges from corner k to corner k + 1 that are marked.
-    ExcludedWith([bool; 3]),
 }
 
 /// Calls `visit(row, first, end)` for every row of pixel centres in the closed
@@ -62,8 +60,8 @@ pub fn for_each_span(p: [Point; 3], corners: Corners, mut visit: impl FnMut(usiz
     // From this row on the lower of the two short edges bounds the triangle.
     let turn_row = if bottom.y > mid.y { (mid.y + UNIT - 1) >> SUB_BITS } else { i32::MAX };
     let skip = match corners {
+        Corners::Excluded => [top, mid, bottom].map(pixel_or_none),
         Corners::Included => [NO_PIXEL; 3],
-        _ => [top, mid, bottom].map(pixel_or_none),
     };
     let mut long = Edge::new(top, bottom, first_row);
     let mut short = if turn_row > first_row { Edge::new(top, mid, first_row) } else { long };
@@ -78,19 +76,6 @@ pub fn for_each_span(p: [Point; 3], corners: Corners, mut visit: impl FnMut(usiz
             if corner_row == row {
                 first += i32::from(corner_col == first);
                 last -= i32::from(corner_col == last);
-            }
-        }
-        if let Corners::ExcludedWith(edges) = corners {
-            // On a level edge all pixels of the row lie, on any other those at an end.
-            let is_excluded = |col: i32| {
-                let q = Point::pixel(col as usize, row as usize);
-                (0..3).any(|k| edges[k] && orient2d(p[k], p[(k + 1) % 3], q) == 0)
-            };
-            while first <= last && is_excluded(first) {
-                first += 1;
-            }
-            while first <= last && is_excluded(last) {
-                last -= 1;
             }
         }
         if first <= last {

@@ -67,7 +67,8 @@ impl Surface {
         };
         let v = self.mesh.insert_at(p, place) as usize;
         if v == self.z.len() {
-            self.z.push(along.unwrap_or_else(|| grid.at(col, row)));
+            let z = grid.at(col, row);
+            self.z.push(along.unwrap_or_else(|| if z.is_nan() { grid.interpolate(p) } else { z }));
             self.is_fixed.push(along.is_some());
         }
     }

@@ -72,10 +72,6 @@ impl Triangle {
         self.flags >> k & HARD != 0
     }
 
-    pub fn has_hard_edge(&self) -> bool {
-        self.flags & (HARD | HARD << 1 | HARD << 2) != 0
-    }
-
     /// The same triangle in a mesh with other numbers.
     pub(crate) fn renumbered(&self, vertex: impl FnMut(u32) -> u32, twin: impl FnMut(u32) -> u32) -> Self {
         Triangle { v: self.v.map(vertex), twin: self.twin.map(twin), ..*self }
