@@ -94,7 +94,8 @@ def constraints(
 
 
 def _placed(dem: DEM, xyz: Coordinates, soft: bool) -> Coordinates:
-    placed: Coordinates = features.to_pixels(dem, xyz)
+    with np.errstate(invalid="ignore"):  # what cannot be transformed is infinitely far away
+        placed: Coordinates = features.to_pixels(dem, xyz)
     # As the core does, but before it cuts off what a rounding error puts beyond the outermost pixels.
     placed[:, :2] = np.rint(placed[:, :2] * LATTICE) / LATTICE
     if soft:
