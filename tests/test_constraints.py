@@ -129,6 +129,19 @@ def test_a_line_without_heights_takes_those_of_the_dem(soft):
         assert mesh.vertices[found, 2] == pytest.approx(wanted, abs=0.3)
 
 
+@pytest.mark.parametrize("method", ["auto", "max"])
+def test_a_tolerance_holds_for_all_pixels_but_those_with_heights_of_their_own(method):
+    lake = box(40.25, 35.25, 60.75, 50.75)
+    options = {"breaklines": [(3, 4, -50), (61, 33, 150)], "flat": lake, "clip": box(1.3, 1.3, 77.6, 57.7)}
+    mesh = mesh_of(points=[(20.4, 40.3, 500)], method=method, tolerance=1.0, max_points=None, **options)
+    row, col = np.mgrid[:60, :80]
+    is_given = ((col - 3) == 2 * (row - 4)) | shapely.intersects_xy(lake, col, row)
+    error = np.abs(mesh.rasterize() - Z)
+    assert np.nanmax(error[~is_given]) <= 1.0 + 1e-9
+    assert mesh.report.stop_reason == "tolerance"
+    assert mesh.report.errors.max_error == pytest.approx(np.nanmax(error))
+
+
 def test_heights_of_some_vertices_hold_at_those():
     line = [(5, 5, 500.0), (20, 11, np.nan), (40, 20, -300.0), (50, 20, -300.0)]
     mesh = mesh_of(breaklines=line)
