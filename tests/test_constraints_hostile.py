@@ -102,6 +102,14 @@ def test_a_point_in_a_void_that_the_tin_covers_leaves_it_whole(options):
     assert np.isfinite(mesh.vertices).all()
 
 
+@pytest.mark.xfail(strict=True, reason="least squares divide by what is nothing but rounding")
+def test_a_vertex_that_no_pixel_determines_has_a_height_like_the_dem():
+    mesh = mesh_of(
+        dem(np.eye(6)), breaklines=[(0.9, 3.0), (1.0, 0.2)], method="max", fit=True, max_points="30%"
+    )
+    assert np.abs(mesh.vertices[:, 2]).max() <= 2.0
+
+
 @pytest.mark.xfail(strict=True, reason="least squares without pixels enough to hold them")
 def test_a_finely_digitised_line_has_heights_like_the_dem():
     share = np.linspace(0, 1, 2000)
@@ -126,13 +134,13 @@ def walk(count):
     return 5 + np.where(folded > 990, 2 * 990 - folded, folded)
 
 
-@pytest.mark.parametrize("path", [spiral, walk])
-def test_a_line_of_a_million_vertices(path, record_property):
+@pytest.mark.parametrize(("path", "count"), [(spiral, 1_000_000), (walk, 300_000)])
+def test_a_line_of_a_million_vertices(path, count, record_property):
     source = dem(hills(1000, 1000))
-    line = path(1_000_000)
+    line = path(count)  # a walk of a million takes 35 s
     start = time.perf_counter()
     mesh = mesh_of(source, breaklines=line, max_points=50_000)
-    record_property("seconds", round(time.perf_counter() - start, 1))  # 10 and 35 when this was written
+    record_property("seconds", round(time.perf_counter() - start, 1))
     ends = np.rint(line[[0, -1]] / LATTICE) * LATTICE
     distance = [np.hypot(*(mesh.pixels - end).T).min() for end in ends]
     assert max(distance) <= LATTICE
