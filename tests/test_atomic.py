@@ -18,7 +18,7 @@ from fakes import crs, grid_tin
 from tin import formats
 from tin.errors import OptionError, OutputError
 from tin.formats import WRITERS, Writer, check_outputs, write
-from tin.formats.atomic import atomic
+from tin.formats.atomic import Batch, atomic
 
 SUFFIXES = (".gpkg", ".obj", ".tif")
 
@@ -85,6 +85,77 @@ def test_a_writer_that_writes_nothing_is_a_failure(tmp_path):
     with pytest.raises(OutputError), atomic(tmp_path / "a.obj"):
         pass
     assert not names(tmp_path)
+
+
+def three_files(directory, batch):
+    for name in ("a.obj", "b.tif", "c.json"):
+        with atomic(
+            directory / name, overwrite=True, companions=[directory / "a.prj"], batch=batch
+        ) as private:
+            private.write_text("new")
+
+
+@pytest.fixture
+def old_files(tmp_path):
+    for name in ("a.obj", "a.prj", "b.tif"):
+        (tmp_path / name).write_text("old")
+    return contents(tmp_path)
+
+
+def test_a_batch_appears_when_it_is_left(tmp_path, old_files):
+    with Batch() as batch:
+        three_files(tmp_path, batch)
+        shown = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+        assert shown == old_files
+    assert contents(tmp_path) == dict.fromkeys(["a.obj", "b.tif", "c.json"], b"new")
+
+
+@pytest.mark.parametrize("failure", [OSError("boom"), ValueError("boom"), KeyboardInterrupt()])
+def test_a_failure_in_a_batch_leaves_all_as_it_was(tmp_path, old_files, failure):
+    with pytest.raises((OutputError, type(failure))), Batch() as batch:
+        three_files(tmp_path, batch)
+        with atomic(tmp_path / "d.gpkg", batch=batch) as private:
+            private.write_text("half")
+            raise failure
+    assert contents(tmp_path) == old_files
+
+
+def test_a_file_of_a_batch_that_appears_meanwhile_stops_all(tmp_path, old_files):
+    with pytest.raises(OutputError) as caught, Batch() as batch:
+        three_files(tmp_path, batch)
+        with atomic(tmp_path / "d.gpkg", batch=batch) as private:
+            private.write_text("mine")
+        (tmp_path / "d.gpkg").write_text("theirs")
+    assert caught.value.code == "exists"
+    assert contents(tmp_path) == {**old_files, "d.gpkg": b"theirs"}
+
+
+@pytest.mark.parametrize("links", [True, False])
+@pytest.mark.parametrize("stuck", ["a.obj", "b.tif", "c.json"])
+@pytest.mark.parametrize("failure", [PermissionError(13, "in use"), KeyboardInterrupt()])
+def test_a_file_that_cannot_be_replaced_brings_the_others_back(
+    tmp_path, old_files, monkeypatch, stuck, links, failure
+):
+    def no_links(*names):
+        raise PermissionError(1, "no links")
+
+    replace_really = Path.replace
+
+    def replace_file(source, target):
+        if target.name == stuck and source.read_text() == "new":
+            raise failure
+        return replace_really(source, target)
+
+    monkeypatch.setattr(Path, "replace", replace_file)
+    if not links:
+        monkeypatch.setattr(os, "link", no_links)
+    with pytest.raises((OutputError, KeyboardInterrupt)), Batch() as batch:
+        three_files(tmp_path, batch)
+    if links:
+        assert contents(tmp_path) == old_files
+    else:  # whole, at least
+        assert set(contents(tmp_path).values()) <= {b"old", b"new"}
+        assert {"a.obj", "b.tif"} <= set(names(tmp_path))
 
 
 def test_a_file_that_appears_meanwhile_is_not_overwritten(tmp_path):

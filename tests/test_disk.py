@@ -165,6 +165,22 @@ def test_a_full_disk_on_the_command_line(tmp_path, outputs, limit):
     assert contents(tmp_path) == before
 
 
+@pytest.mark.parametrize(
+    "outputs", [["x.obj", "x.tif"], ["x.obj", "--error-map", "e.tif"], ["x.obj", "--outline", "o.gpkg"]]
+)
+@pytest.mark.parametrize("has_old", [True, False])
+def test_what_was_written_before_a_failure_does_not_appear(tmp_path, outputs, has_old):
+    if has_old:
+        for name in (*(name for name in outputs if "." in name), "x.prj", "r.json"):
+            (tmp_path / name).write_bytes(OLD)
+    before = contents(tmp_path)
+    options = ["--max-points", "50", "--json", "r.json", "--overwrite"]
+    done = command(JACKSBORO, *outputs, *options, limit=60_000, cwd=tmp_path)
+    assert done.returncode == 4, done.stderr
+    assert done.stderr.startswith(f"dem2tin: {tmp_path / outputs[-1]}: cannot be written: ")
+    assert contents(tmp_path) == before
+
+
 @each_writer
 def test_a_directory_that_may_not_be_written(name, mesh):
     directory = Path(tempfile.mkdtemp())  # unlike tmp_path, anybody may look into what it is in

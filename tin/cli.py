@@ -115,6 +115,7 @@ def _fail(message: str, code: int) -> int:
 def run(given: argparse.Namespace) -> None:
     """Read, triangulate, write and report."""
     from tin import formats, reader, transform, units
+    from tin.formats.atomic import Batch
     from tin.tin import triangulate
 
     start = time.perf_counter()
@@ -146,24 +147,26 @@ def run(given: argparse.Namespace) -> None:
     if crs is not None:
         bar("reproject", 0.0)
         mesh = mesh.to_crs(crs)
-    for path in given.outputs:
-        bar(f"write {Path(path).name}", 0.0)
-        formats.write(mesh, path, overwrite=given.overwrite, **formats.accepted(path, writing))
-    if given.error_map:
-        formats.write_error_map(mesh, given.error_map, overwrite=given.overwrite)
-    if given.outline:
-        formats.write_outline(mesh, given.outline, overwrite=given.overwrite)
-    bar.close()
     warnings = mesh.report.warnings
     if any(map(formats.is_3d, given.outputs)):
         message = units.warning(mesh.crs, dem.vertical_unit, reading["z_factor"])
         warnings = [*warnings, *([] if message is None else [message])]
-    result = replace(mesh.report, seconds=time.perf_counter() - start, warnings=warnings)
-    numbers = json.dumps(result.to_dict(), indent=2)
+    with Batch() as batch:
+        safely: dict[str, Any] = {"overwrite": given.overwrite, "batch": batch}
+        for path in given.outputs:
+            bar(f"write {Path(path).name}", 0.0)
+            formats.write(mesh, path, **safely, **formats.accepted(path, writing))
+        if given.error_map:
+            formats.write_error_map(mesh, given.error_map, **safely)
+        if given.outline:
+            formats.write_outline(mesh, given.outline, **safely)
+        result = replace(mesh.report, seconds=time.perf_counter() - start, warnings=warnings)
+        numbers = json.dumps(result.to_dict(), indent=2)
+        if report:
+            formats.write_text(report, numbers + "\n", **safely)
+    bar.close()
     if given.json == "-":
         print(numbers)
-    elif report:
-        formats.write_text(report, numbers + "\n", overwrite=given.overwrite)
     if not given.quiet:
         for warning in warnings:
             print(f"dem2tin: warning: {warning}", file=sys.stderr)

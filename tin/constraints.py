@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from tin.shapes import Coordinates
 
 Polygon = list["Coordinates"]
+LATTICE = 256
+"""The core's steps in a pixel."""
 
 
 @dataclass
@@ -68,8 +70,10 @@ def constraints(
         label = _label(points, "points")
         spots = _placed(dem, features.points(points, crs, allow_remote=allow_remote, keep_lost=True), soft)
         nearest = np.rint(spots[:, :2])
-        inside = np.all((nearest >= 0) & (nearest < (dem.cols, dem.rows)), axis=1)
         has_height = ~np.isnan(spots[:, 2])
+        # A point that keeps its place must lie between pixel centres, where a TIN can be.
+        place = np.where(has_height[:, None], spots[:, :2], nearest)
+        inside = np.all((place >= 0) & (place <= (dem.cols - 1, dem.rows - 1)), axis=1)
         made.points = spots[inside & has_height]
         pixels = nearest[inside & ~has_height].astype(int)
         made.pixels = list(zip(pixels[:, 0].tolist(), pixels[:, 1].tolist()))
@@ -81,13 +85,19 @@ def constraints(
     if flat is not None:
         areas = features.areas(flat, crs, label="flat", allow_remote=allow_remote)
         made.flat = [([_placed(dem, ring, True) for ring in area], _level(area)) for area in areas]
-        touches = [_touches(dem, polygon[0]) for polygon, _ in made.flat]
-        made.warnings += _outside(_label(flat, "flat"), "polygons", touches)
+        label = _label(flat, "flat")
+        made.warnings += _outside(label, "polygons", [_touches(dem, polygon[0]) for polygon, _ in made.flat])
+        made.warnings += _unfilled(
+            dem, label, np.array([level for _, level in made.flat]), "a layer without z"
+        )
     return made
 
 
 def _placed(dem: DEM, xyz: Coordinates, soft: bool) -> Coordinates:
-    placed: Coordinates = features.to_pixels(dem, xyz)
+    with np.errstate(invalid="ignore"):  # what cannot be transformed is infinitely far away
+        placed: Coordinates = features.to_pixels(dem, xyz)
+    # As the core does, but before it cuts off what a rounding error puts beyond the outermost pixels.
+    placed[:, :2] = np.rint(placed[:, :2] * LATTICE) / LATTICE
     if soft:
         placed[:, 2] = np.nan
     return placed
@@ -115,7 +125,7 @@ def _outside(label: str, kind: str, is_inside: list[bool]) -> list[str]:
     return [f"{label}: {outside} of {len(is_inside)} {kind} lie outside the DEM"] if outside else []
 
 
-def _unfilled(dem: DEM, label: str, heights: Coordinates) -> list[str]:
+def _unfilled(dem: DEM, label: str, heights: Coordinates, remedy: str = "--soft") -> list[str]:
     """Many layers have a third dimension that nobody filled in."""
     heights = heights[~np.isnan(heights)]
     if len(heights) and np.abs(heights).max() > MAX_HEIGHT:
@@ -123,4 +133,4 @@ def _unfilled(dem: DEM, label: str, heights: Coordinates) -> list[str]:
     is_filled = heights.any() or not len(heights)
     if is_filled or np.fmin.reduce(dem.z, axis=None) <= 0.0 <= np.fmax.reduce(dem.z, axis=None):
         return []
-    return [f"{label}: all heights are 0, unlike those of the DEM; --soft takes the DEM's"]
+    return [f"{label}: all heights are 0, unlike those of the DEM; {remedy} takes the DEM's"]

@@ -73,5 +73,8 @@ class Report:
         if self.stop_reason == "outline":
             lines.append("the outline of the data and the points given need this many points")
         if e.uncovered:
-            lines.append(f"{e.uncovered:,} valid pixels are isolated or on lines one pixel wide: not covered")
+            lines.append(
+                f"{e.uncovered:,} valid pixels are not covered: clipped or sieved off, isolated, "
+                "or on lines one pixel wide"
+            )
         return "\n".join(lines)

@@ -456,7 +456,7 @@ def core_arguments(values: Mapping[str, Any], dem: DEM) -> dict[str, Any]:
         "despike": options["despike"],
         "fit": options["fit"],
         "flips": options["flips"],
-        # Along the shorter of a pixel's sides, so that it holds in every direction.
+        # Along the longer of a pixel's sides, so that it holds in every direction.
         "outline_tolerance": min(options["outline_tolerance"].in_pixels_of(dem)),
         "keep_isolated": options["keep_isolated"],
         "sieve": options["sieve"],

@@ -84,7 +84,7 @@ def open(
 def source_files(name: str) -> list[Path]:
     """The existing files that a file, dataset or layer name stands for, for example ``netcdf:x.nc:z``.
 
-    Those a VRT names are among them, and the archive of ``/vsizip/x.zip/y.tif``.
+    Those a VRT names are among them, the archive of ``/vsizip/x.zip/y.tif``, and all files of a shapefile.
     """
     names = {
         name,
@@ -94,6 +94,8 @@ def source_files(name: str) -> list[Path]:
     }
     for part in list(names):
         names.update(str(folder) for folder in Path(part).parents)
+        if part.lower().endswith(".shp"):
+            names.update(part[:-4] + suffix for suffix in (".shx", ".dbf", ".prj", ".cpg"))
     try:
         import rasterio
 

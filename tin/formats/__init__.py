@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Union
 
 from tin.errors import OptionError, OutputError
 from tin.formats import geotiff, gpkg, obj, png, ugrid
-from tin.formats.atomic import atomic, check_writable, refuse_existing
+from tin.formats.atomic import Batch, atomic, check_writable, refuse_existing
 
 if TYPE_CHECKING:
     from tin.tin import Tin
@@ -50,10 +50,13 @@ OUTLINE_WRITERS = {".gpkg": WRITERS[".gpkg"]._replace(write=gpkg.write_outline)}
 """The formats of an outline."""
 
 
-def write(tin: Tin, path: StrPath, *, overwrite: bool = False, **options: Any) -> None:
+def write(
+    tin: Tin, path: StrPath, *, overwrite: bool = False, batch: Batch | None = None, **options: Any
+) -> None:
     """Write ``tin`` to ``path`` in the format of its suffix; all of it, or nothing.
 
-    ``options`` are those of the format (``y_up=True`` for OBJ).
+    ``options`` are those of the format (``y_up=True`` for OBJ). With a ``batch`` the file appears when
+    that is left, together with all others in it.
 
     Raises OutputError: ``unknown-suffix``, ``no-directory``, ``not-writable``, ``exists``,
     ``missing-library``, ``write-failed``; OptionError: ``unknown-option``.
@@ -64,36 +67,39 @@ def write(tin: Tin, path: StrPath, *, overwrite: bool = False, **options: Any) -
     if unknown:
         raise OptionError("unknown-option", f"{target}: {target.suffix} has no option {', '.join(unknown)}")
     companions = _companions(writer, target)
-    with atomic(target, overwrite=overwrite, companions=companions) as private:
+    with atomic(target, overwrite=overwrite, companions=companions, batch=batch) as private:
         writer.write(tin, private, **options)
 
 
-def write_error_map(tin: Tin, path: StrPath, *, overwrite: bool = False) -> None:
+def write_error_map(tin: Tin, path: StrPath, *, overwrite: bool = False, batch: Batch | None = None) -> None:
     """Write the signed error of ``tin``, TIN less DEM, as a GeoTIFF on the grid that ``write`` uses for .tif.
 
     Raises OutputError, as ``write`` does.
     """
-    _write_with(ERROR_WRITERS, tin, path, overwrite)
+    _write_with(ERROR_WRITERS, tin, path, overwrite, batch)
 
 
-def write_outline(tin: Tin, path: StrPath, *, overwrite: bool = False) -> None:
+def write_outline(tin: Tin, path: StrPath, *, overwrite: bool = False, batch: Batch | None = None) -> None:
     """Write the area that ``tin`` covers as a GeoPackage of polygons, one for each part; see ``Tin.outline``.
 
     Raises OutputError, as ``write`` does.
     """
-    _write_with(OUTLINE_WRITERS, tin, path, overwrite)
+    _write_with(OUTLINE_WRITERS, tin, path, overwrite, batch)
 
 
-def _write_with(writers: Mapping[str, Writer], tin: Tin, path: StrPath, overwrite: bool) -> None:
+def _write_with(
+    writers: Mapping[str, Writer], tin: Tin, path: StrPath, overwrite: bool, batch: Batch | None
+) -> None:
     target = _real(path)
     writer = _writer(target, writers)
-    with atomic(target, overwrite=overwrite, companions=_companions(writer, target)) as private:
+    companions = _companions(writer, target)
+    with atomic(target, overwrite=overwrite, companions=companions, batch=batch) as private:
         writer.write(tin, private)
 
 
-def write_text(path: StrPath, text: str, *, overwrite: bool = False) -> None:
+def write_text(path: StrPath, text: str, *, overwrite: bool = False, batch: Batch | None = None) -> None:
     """Write a report or the like as UTF-8, with the same care and the same errors."""
-    with atomic(_real(path), overwrite=overwrite) as private:
+    with atomic(_real(path), overwrite=overwrite, batch=batch) as private:
         private.write_text(text, encoding="utf-8")
 
 
