@@ -92,7 +92,6 @@ def test_a_hundred_thousand_points_on_one_place_are_one(spot):
     assert (lines.vertices == mesh_of(breaklines=line).vertices).all()
 
 
-@pytest.mark.xfail(strict=True, reason="the core gives it the height of the void: NaN")
 @pytest.mark.parametrize("options", [{"outline_tolerance": "3px"}, {"sieve": 2}])
 def test_a_point_in_a_void_that_the_tin_covers_leaves_it_whole(options):
     z = np.zeros((5, 6))
@@ -102,7 +101,6 @@ def test_a_point_in_a_void_that_the_tin_covers_leaves_it_whole(options):
     assert np.isfinite(mesh.vertices).all()
 
 
-@pytest.mark.xfail(strict=True, reason="least squares divide by what is nothing but rounding")
 def test_a_vertex_that_no_pixel_determines_has_a_height_like_the_dem():
     mesh = mesh_of(
         dem(np.eye(6)), breaklines=[(0.9, 3.0), (1.0, 0.2)], method="max", fit=True, max_points="30%"
@@ -110,7 +108,6 @@ def test_a_vertex_that_no_pixel_determines_has_a_height_like_the_dem():
     assert np.abs(mesh.vertices[:, 2]).max() <= 2.0
 
 
-@pytest.mark.xfail(strict=True, reason="least squares without pixels enough to hold them")
 def test_a_finely_digitised_line_has_heights_like_the_dem():
     share = np.linspace(0, 1, 2000)
     river = np.column_stack([5 + 68 * share, 30 + 20 * np.sin(12 * share)])

@@ -98,11 +98,13 @@ pub fn triangulate<T: Height>(
     progress: &mut Progress,
 ) -> Result<Triangulation> {
     validate(options, grid)?;
-    let Images { mut data, spikes, noise } = prepare(grid, options, progress)?;
+    let Images { data: unmarked, spikes, noise } = prepare(grid, options, progress)?;
+    let unmarked = Grid::new(&unmarked, grid.rows(), grid.cols())?;
     progress.stage("outline")?;
-    let unmarked = Grid::new(&data, grid.rows(), grid.cols())?;
     let surface = domain(&unmarked, metric, &options.shape, &options.constraints, progress)?;
+    // Smoothing must not see the hard edges, what is refined and fitted must.
     let hard = hard_pixels(&surface, grid.rows(), grid.cols());
+    let mut data = Cow::Borrowed(unmarked.z());
     burn(&mut data, &hard);
     let data = Grid::new(&data, grid.rows(), grid.cols())?;
 
@@ -112,10 +114,10 @@ pub fn triangulate<T: Height>(
         // A bound on the error counts against the data, so nothing is smoothed away.
         Scales::Auto if bounded => (vec![[0.0; 2]], Cow::Borrowed(data.z())),
         Scales::Auto => {
-            let smooth = choose(&data, noise, progress)?;
+            let smooth = choose(&unmarked, noise, progress)?;
             (vec![[smooth.sigma; 2]], smooth.z)
         }
-        Scales::Given(sigmas) => (sigmas.clone(), gaussian(&data, sigmas[0], progress)?),
+        Scales::Given(sigmas) => (sigmas.clone(), gaussian(&unmarked, sigmas[0], progress)?),
     };
     if bounded && scales.last() != Some(&[0.0; 2]) {
         scales.push([0.0; 2]);
@@ -133,7 +135,7 @@ pub fn triangulate<T: Height>(
     for (i, &sigma) in scales.iter().enumerate() {
         if i > 0 {
             progress.stage("smooth")?;
-            finest = gaussian(&data, sigma, progress)?;
+            finest = gaussian(&unmarked, sigma, progress)?;
             burn(&mut finest, &hard);
             if bounded && sigma == [0.0; 2] {
                 refiner.surface.sample(&data);
