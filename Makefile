@@ -10,7 +10,7 @@ QGIS_PYTHON ?= /usr/bin/python3
 QGIS_SITE := target/qgis-site
 
 .PHONY: demo test test-rust test-python test-qgis pictures plugin lint fuzz fuzz-reader \
-  bench-core clean
+  bench-core instructions clean
 
 FUZZ_SECONDS ?= 60
 FUZZ_TARGETS := predicates insert constrain outline domain refine
@@ -108,6 +108,11 @@ fuzz-reader: $(VENV)/installed
 # BENCH="--baseline NAME" the change is shown.
 bench-core:
 	cargo bench --bench micro -- $(BENCH)
+
+# Instructions of a small fixed case against the budget of benchmarks/instructions.json; needs valgrind.
+instructions:
+	cargo build --release --quiet --example fixed_case
+	$(PYTHON) benchmarks/instructions.py target/release/examples/fixed_case $(INSTRUCTIONS)
 
 clean:
 	rm -rf $(VENV) target out dist

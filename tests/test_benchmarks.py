@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,19 @@ def test_accuracy(monkeypatch, capsys, tmp_path):
     assert shown.count("| **auto** |") == 3 * 3 + 1
     assert "### made (50 × 40), as it is, 8 %" in shown
     assert "| pyfqmr |" in shown
+
+
+def test_instructions_over_the_budget_fail_and_those_under_it_are_told():
+    instructions = script("instructions")
+    budget = {"max": 1000, "median": 1000, "auto": 1000}
+    lines, within = instructions.judge({"max": 1029, "median": 971, "auto": 960}, budget)
+    assert within
+    assert [line.endswith("--record") for line in lines] == [False, False, True]
+    lines, within = instructions.judge({"max": 1031, "median": 1000, "auto": 1000}, budget)
+    assert not within
+    assert "OVER" in lines[0]
+    recorded = json.loads(instructions.BUDGET.read_text(encoding="utf-8"))
+    assert set(recorded["instructions"]) == set(instructions.METHODS)
 
 
 def test_stages(monkeypatch, capsys, tmp_path):
