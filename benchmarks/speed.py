@@ -136,7 +136,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument(
-        "--no-errors", action="store_true", help="leave out the errors: they need 60 bytes a pixel"
+        "--no-errors", action="store_true", help="leave out the errors: they need some 45 bytes a pixel"
     )
     given = parser.parse_args(arguments)
 
