@@ -9,7 +9,8 @@ PLUGIN_ZIP := dist/dem2tin_qgis.zip
 QGIS_PYTHON ?= /usr/bin/python3
 QGIS_SITE := target/qgis-site
 
-.PHONY: demo test test-rust test-python test-qgis pictures plugin lint fuzz fuzz-reader clean
+.PHONY: demo test test-rust test-python test-qgis pictures plugin lint fuzz fuzz-reader \
+  bench-core instructions clean
 
 FUZZ_SECONDS ?= 60
 FUZZ_TARGETS := predicates insert constrain outline domain refine
@@ -102,6 +103,16 @@ fuzz-%: $(FUZZ)/built
 
 fuzz-reader: $(VENV)/installed
 	$(BIN)/python tests/fuzz/reader.py --seconds $(FUZZ_SECONDS) --found $(FUZZ)/found/reader
+
+# Micro-benchmarks; some of them: make bench-core BENCH=scan. With BENCH="--save-baseline NAME" and later
+# BENCH="--baseline NAME" the change is shown.
+bench-core:
+	cargo bench --bench micro -- $(BENCH)
+
+# Instructions of a small fixed case against the budget of benchmarks/instructions.json; needs valgrind.
+instructions:
+	cargo build --release --quiet --example fixed_case
+	$(PYTHON) benchmarks/instructions.py target/release/examples/fixed_case $(INSTRUCTIONS)
 
 clean:
 	rm -rf $(VENV) target out dist

@@ -82,32 +82,42 @@ def rasterise(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int])
     either turn. Independent of the code under test.
     """
     surface = np.full(shape, np.nan)
-    corners = points[triangles]
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    area = _cross(b - a, c - a)
-    last = (shape[1] - 1, shape[0] - 1)
-    low = np.clip(np.ceil(corners[..., :2].min(axis=1) - 1e-9), 0, last).astype(int)
-    high = np.clip(np.floor(corners[..., :2].max(axis=1) + 1e-9), -1, last).astype(int)
-    width, height = np.maximum(high - low + 1, 0).T
+    for part in np.array_split(triangles, 1 + len(triangles) // 100_000):
+        _rasterise_few(points, part, surface)
+    return surface
+
+
+def _rasterise_few(points: np.ndarray, triangles: np.ndarray, surface: np.ndarray) -> None:
+    x, y, z = (points[:, k].astype(np.float64)[triangles] for k in range(3))
+    x_b, y_b, x_c, y_c = x[:, 1] - x[:, 0], y[:, 1] - y[:, 0], x[:, 2] - x[:, 0], y[:, 2] - y[:, 0]
+    area = x_b * y_c - y_b * x_c
+    last_row, last_col = surface.shape[0] - 1, surface.shape[1] - 1
+    left, right = _whole(x, last_col)
+    top, bottom = _whole(y, last_row)
+    width, height = np.maximum(right - left + 1, 0), np.maximum(bottom - top + 1, 0)
     kept = np.flatnonzero((area != 0.0) & (width * height > 0))
-    for part in np.array_split(kept, 1 + int((width * height)[kept].sum() // 2_000_000)):
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # The weight of corner b at (x, y) is x v_x + y v_y, from corner a; that of c likewise.
+        v_x, v_y, w_x, w_y = y_c / area, -x_c / area, -y_b / area, x_b / area
+    z_b, z_c = z[:, 1] - z[:, 0], z[:, 2] - z[:, 0]
+    for part in np.array_split(kept, 1 + int((width * height)[kept].sum() // 1_000_000)):
         count = (width * height)[part]
         t = np.repeat(part, count)
         # The position of each pixel in the box of its triangle.
         k = np.arange(len(t)) - np.repeat(np.cumsum(count) - count, count)
-        col, row = low[t, 0] + k % width[t], low[t, 1] + k // width[t]
-        place = np.column_stack([col, row])
-        v = _cross(place - a[t, :2], c[t, :2] - a[t, :2]) / area[t]
-        w = _cross(b[t, :2] - a[t, :2], place - a[t, :2]) / area[t]
-        u = 1.0 - v - w
-        inside = (u >= -1e-9) & (v >= -1e-9) & (w >= -1e-9)
-        plane = u * a[t, 2] + v * b[t, 2] + w * c[t, 2]
+        down, across = np.divmod(k, width[t])
+        col, row = left[t] + across, top[t] + down
+        dx, dy = col - x[t, 0], row - y[t, 0]
+        v, w = dx * v_x[t] + dy * v_y[t], dx * w_x[t] + dy * w_y[t]
+        inside = (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9)
+        plane = z[t, 0] + v * z_b[t] + w * z_c[t]
         surface[row[inside], col[inside]] = plane[inside]
-    return surface
 
 
-def _cross(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    return p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
+def _whole(corners: np.ndarray, last: int) -> tuple[np.ndarray, np.ndarray]:
+    """First and last whole number between each triangle's corners, and from 0 to ``last``."""
+    low = np.clip(np.ceil(corners.min(axis=1) - 1e-9), 0, last).astype(int)
+    return low, np.clip(np.floor(corners.max(axis=1) + 1e-9), -1, last).astype(int)
 
 
 @dataclass(frozen=True)

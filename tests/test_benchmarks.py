@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,63 @@ def test_accuracy(monkeypatch, capsys, tmp_path):
     assert shown.count("| **auto** |") == 3 * 3 + 1
     assert "### made (50 × 40), as it is, 8 %" in shown
     assert "| pyfqmr |" in shown
+
+
+def test_speed(capsys):
+    speed = script("speed")
+    speed.main(["--size", "40", "--rounds", "2", "--terrain", "smooth", "--methods", "median", "auto"])
+    shown = capsys.readouterr().out
+    assert shown.count("\n### smooth 40 × 40, ") == 2
+    assert shown.count("\n| median | 80 |") == 1
+    assert shown.count("\n| auto |") == shown.count("\n| pydelatin |") == 2
+    assert "\n| refine | 1.00 |" in shown
+    sizes = ["--size", "24", "32", "--rounds", "1"]
+    speed.main([*sizes, "--terrain", "sample", "--methods", "max", "--no-errors"])
+    shown = capsys.readouterr().out
+    assert shown.count("\n### sample 24 × 24, ") == shown.count("\n### sample 32 × 32, ") == 2
+    assert shown.count("| — | — |") == 2 * 2 * 2
+    assert "auto" not in shown
+
+
+def test_one_run_has_the_errors_of_the_mesh_it_made(tmp_path):
+    speed = script("speed")
+    np.save(tmp_path / "z.npy", hills(50, 70).astype(np.float32))
+    for program in ("max", "pydelatin"):
+        by_points = speed.run(tmp_path / "z.npy", program, 120, None, errors=True)
+        assert by_points["vertices"] == 120
+        assert 0 < by_points["rmse"] < by_points["largest"] < 20
+        assert by_points["missing"] == 0
+        assert 0 < by_points["before_mb"] <= by_points["peak_mb"] < 500
+        by_tolerance = speed.run(tmp_path / "z.npy", program, None, 5.0, errors=True)
+        assert by_tolerance["vertices"] > 4
+        assert 2.5 < by_tolerance["largest"] <= 5.0 + 1e-4
+    with pytest.raises(SystemExit, match="none of"):
+        speed.run(tmp_path / "z.npy", "least", 120, None, errors=True)
+
+
+@pytest.mark.parametrize(("name", "slope"), [("smooth", 3.0), ("rough", 2.2)])
+def test_made_terrain_is_as_rough_as_it_says(name, slope):
+    made_terrain = script("made_terrain")
+    z = made_terrain.make(name, 256)
+    assert (z.dtype, z.min(), z.max()) == (np.float32, 0.0, 1000.0)
+    np.testing.assert_array_equal(z, made_terrain.make(name, 256))
+    power = np.mean(np.abs(np.fft.rfft(z.astype(np.float64) * np.hanning(256), axis=1)) ** 2, axis=0)
+    frequency = slice(6, 100)
+    logs = np.log(np.arange(129)[frequency]), np.log(power[frequency])
+    assert np.polyfit(*logs, 1)[0] == pytest.approx(-slope, abs=0.15)
+
+
+def test_instructions_over_the_budget_fail_and_those_under_it_are_told():
+    instructions = script("instructions")
+    budget = {"max": 1000, "median": 1000, "auto": 1000}
+    lines, within = instructions.judge({"max": 1029, "median": 971, "auto": 960}, budget)
+    assert within
+    assert [line.endswith("--record") for line in lines] == [False, False, True]
+    lines, within = instructions.judge({"max": 1031, "median": 1000, "auto": 1000}, budget)
+    assert not within
+    assert "OVER" in lines[0]
+    recorded = json.loads(instructions.BUDGET.read_text(encoding="utf-8"))
+    assert set(recorded["instructions"]) == set(instructions.METHODS)
 
 
 def test_stages(monkeypatch, capsys, tmp_path):

@@ -1,0 +1,179 @@
+//! Micro-benchmarks of what the refinement spends its time on: `make bench-core`.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+mod common;
+
+use common::{hash, method, terrain, unit};
+use criterion::{criterion_group, criterion_main, BatchSize, Criterion, Throughput};
+use dem2tin_core::grid::{Grid, Height};
+use dem2tin_core::pipeline::triangulate;
+use dem2tin_core::predicate::{orient2d, Metric, Point};
+use dem2tin_core::progress::Progress;
+use dem2tin_core::queue::{Candidate, Queue};
+use dem2tin_core::refine::quantile_index;
+use dem2tin_core::scan::{collect, worst, Corners};
+use std::hint::black_box;
+use std::time::Duration;
+
+/// Side of the raster of the scans: within the second-level cache even in f64.
+const SIZE: usize = 256;
+
+/// Positive triangles of pixels in a box of `side` pixels, strewn over the raster.
+fn triangles(n: u64, side: usize) -> Vec<[Point; 3]> {
+    let below = |i: u64, n: usize| (hash(i) % n as u64) as usize;
+    let triangle = |i: u64| {
+        let (left, top) = (below(8 * i, SIZE - side), below(8 * i + 1, SIZE - side));
+        let corner = |k: u64| Point::pixel(left + below(8 * i + k, side), top + below(8 * i + k + 1, side));
+        [corner(2), corner(4), corner(6)]
+    };
+    let area = |p: &[Point; 3]| orient2d(p[0], p[1], p[2]);
+    let turned = |p: [Point; 3]| if area(&p) < 0 { [p[0], p[2], p[1]] } else { p };
+    (0..).map(triangle).filter(|p| area(p) != 0).map(turned).take(n as usize).collect()
+}
+
+fn heights<T: Height>(grid: &Grid<T>, p: [Point; 3]) -> [f64; 3] {
+    p.map(|q| q.as_pixel().map_or(f64::NAN, |(col, row)| grid.at(col, row)))
+}
+
+fn scan_of<T: Height>(c: &mut Criterion, kind: &str, z: &[T]) {
+    let grid = Grid::new(z, SIZE, SIZE).unwrap();
+    let mut errors = Vec::new();
+    for (name, n, side) in [("small", 4096, 10), ("large", 16, 200)] {
+        let triangles: Vec<_> = triangles(n, side).into_iter().map(|p| (p, heights(&grid, p))).collect();
+        let pixels: usize = triangles.iter().map(|&(p, z)| worst(&grid, p, z, Corners::Excluded).count).sum();
+        let mut group = c.benchmark_group(format!("scan/{name}/{kind}"));
+        group.throughput(Throughput::Elements(pixels as u64));
+        group.bench_function("worst", |b| {
+            b.iter(|| {
+                for &(p, z) in &triangles {
+                    black_box(worst(&grid, black_box(p), z, Corners::Excluded));
+                }
+            })
+        });
+        group.bench_function("collect", |b| {
+            b.iter(|| {
+                for &(p, z) in &triangles {
+                    black_box(collect(&grid, black_box(p), z, Corners::Excluded, &mut errors));
+                    black_box(&errors);
+                }
+            })
+        });
+    }
+}
+
+fn scan(c: &mut Criterion) {
+    let z = terrain(SIZE);
+    scan_of(c, "f32", &z);
+    scan_of(c, "f64", &z.iter().map(|&z| f64::from(z)).collect::<Vec<_>>());
+}
+
+/// The median as `refine` finds it: the bits of the errors, selected as whole numbers; so many
+/// that no branch is learnt by heart.
+fn selection(c: &mut Criterion) {
+    const ERRORS: u64 = 1 << 17;
+    for n in [8, 32, 128, 1024, 16384] {
+        let errors: Vec<u64> = (0..ERRORS).map(|i| (100.0 * unit(i)).to_bits()).collect();
+        let mut group = c.benchmark_group(format!("selection/{n}"));
+        group.throughput(Throughput::Elements(ERRORS));
+        group.bench_function("select_nth_unstable", |b| {
+            let medians = |mut errors: Vec<u64>| {
+                for errors in errors.chunks_exact_mut(n) {
+                    black_box(*errors.select_nth_unstable(quantile_index(n, 0.5)).1);
+                }
+                errors
+            };
+            b.iter_batched(|| errors.clone(), medians, BatchSize::LargeInput)
+        });
+    }
+}
+
+fn predicates(c: &mut Criterion) {
+    const N: u64 = 1024;
+    let near = |i: u64| Point::pixel(1000 + (hash(i) % 16) as usize, 1000 + (hash(!i) % 16) as usize);
+    let quads: Vec<[Point; 4]> = (0..N).map(|i| [0, 1, 2, 3].map(|k| near(4 * i + k))).collect();
+    let mut group = c.benchmark_group("predicate");
+    group.throughput(Throughput::Elements(N));
+    group.bench_function("orient2d", |b| {
+        b.iter(|| {
+            for &[p, q, r, _] in &quads {
+                black_box(orient2d(black_box(p), q, r));
+            }
+        })
+    });
+    let skew = Metric { e: 1009, f: 307, g: 1511 };
+    for (name, metric) in [("in_circle", Metric::SQUARE), ("in_circle, skew", skew)] {
+        group.bench_function(name, |b| {
+            b.iter(|| {
+                for &[p, q, r, s] in &quads {
+                    black_box(metric.in_circle(black_box(p), q, r, s));
+                }
+            })
+        });
+    }
+}
+
+/// What a refinement asks of the queue: each candidate taken makes six triangles stale or
+/// new, each with a lower priority than the one taken.
+fn queue_mix(local: Option<u64>) -> usize {
+    const TRIANGLES: u64 = 1 << 13;
+    const STEPS: u64 = 1 << 12;
+    const SIDE: u64 = 1 << 10;
+    let mut versions = vec![0u32; TRIANGLES as usize];
+    let mut queue = Queue::new(local);
+    let candidate = |i: u64, triangle: u32, version: u32, most: f64| {
+        let priority = most * unit(2 * i).max(1e-9);
+        Candidate { priority, pixel: hash(2 * i + 1) % (SIDE * SIDE), triangle, version }
+    };
+    for i in 0..TRIANGLES {
+        queue.push(candidate(i, i as u32, 0, 100.0));
+    }
+    let mut popped = 0;
+    for step in 0..STEPS {
+        let remaining = (STEPS - step) as usize;
+        let Some(best) = queue.pop(remaining, |c| versions[c.triangle as usize] == c.version) else {
+            break;
+        };
+        popped += 1;
+        for k in 0..6 {
+            let i = TRIANGLES + 6 * step + k;
+            let triangle = (u64::from(best.triangle) + k) % TRIANGLES;
+            let version = &mut versions[triangle as usize];
+            *version += 1;
+            queue.push(candidate(i, triangle as u32, *version, best.priority));
+        }
+    }
+    popped
+}
+
+fn queue(c: &mut Criterion) {
+    let mut group = c.benchmark_group("queue");
+    group.throughput(Throughput::Elements(queue_mix(None) as u64));
+    group.bench_function("exact", |b| b.iter(|| queue_mix(black_box(None))));
+    group.bench_function("local", |b| b.iter(|| queue_mix(black_box(Some(1 << 10)))));
+}
+
+fn whole(c: &mut Criterion) {
+    const SIDE: usize = 128;
+    let z = terrain(SIDE);
+    let grid = Grid::new(&z, SIDE, SIDE).unwrap();
+    let mut group = c.benchmark_group("triangulate/128");
+    for name in common::METHODS {
+        let options = method(name, SIDE * SIDE / 20).unwrap();
+        group.bench_function(name, |b| {
+            b.iter(|| {
+                let mut quiet = |_: &'static str, _: f64| true;
+                triangulate(&grid, Metric::SQUARE, &options, &mut Progress::new(&mut quiet)).unwrap()
+            })
+        });
+    }
+}
+
+fn short() -> Criterion {
+    Criterion::default()
+        .sample_size(30)
+        .warm_up_time(Duration::from_millis(500))
+        .measurement_time(Duration::from_secs(2))
+}
+
+criterion_group! { name = benches; config = short(); targets = scan, selection, predicates, queue, whole }
+criterion_main!(benches);
