@@ -92,7 +92,7 @@ def test_a_method_is_a_set_of_defaults():
     arguments = options.core_arguments({"method": "median"}, source)
     assert (arguments["priority"], arguments["candidate"], arguments["weight"]) == (0.5, 0.5, 0.0)
     assert arguments["bound"] == 0.5
-    assert arguments["points_per_scale"] == math.ceil(arguments["max_points"] / 4)
+    assert arguments["points_per_scale"] is None
     overridden = options.core_arguments({"method": "max", "fit": True, "metric": "median"}, source)
     assert overridden["fit"] is True
     assert overridden["priority"] == 0.5

@@ -47,6 +47,7 @@ def triangulate(
     metric: tuple[float, float, float],
     *,
     max_points: int | None,
+    is_share: bool,
     points_per_scale: int | None,
     priority: float,
     weight: float,

@@ -437,14 +437,13 @@ def core_arguments(values: Mapping[str, Any], dem: DEM) -> dict[str, Any]:
     stop_at_noise = limit == NOISE_STOP
     if stop_at_noise:
         limit = None
+    is_share = isinstance(limit, Share)
     if isinstance(limit, Share):
         limit = max(MIN_POINTS, round(dem.n_valid * limit.percent / 100))
-    per_scale = options["points_per_scale"]
-    if per_scale is None and limit is not None and scales is not None:
-        per_scale = math.ceil(limit / len(scales))
     return {
         "max_points": limit,
-        "points_per_scale": per_scale,
+        "is_share": is_share,
+        "points_per_scale": options["points_per_scale"],
         "priority": options["metric"],
         "weight": options["weight"],
         "candidate": options["candidate"],

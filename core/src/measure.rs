@@ -25,6 +25,22 @@ pub struct Errors {
     pub void_covered: usize,
 }
 
+/// Number of valid pixels that the mesh covers.
+pub fn count_covered<T: Height>(mesh: &Mesh, grid: &Grid<T>, progress: &mut Progress) -> Result<usize> {
+    memory::ensure(grid.z().len() / 8)?;
+    let mut seen = Visited::new(grid.z().len());
+    let mut count = 0;
+    for t in (0..mesh.triangles().len() as u32).filter(|&t| !mesh.triangle(t).is_void()) {
+        let mut work = 16;
+        for_each_pixel(grid, mesh.corners(t), [0.0; 3], Corners::Included, |col, row, _, _| {
+            count += usize::from(seen.insert(row * grid.cols() + col));
+            work += 1;
+        });
+        progress.poll(work, || 0.0)?;
+    }
+    Ok(count)
+}
+
 /// Heights of the mesh on every pixel centre; NaN where no triangle is. Where
 /// triangles meet, the first one's height stands.
 pub fn rasterise<T: Height>(

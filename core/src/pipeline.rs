@@ -5,7 +5,9 @@ use crate::domain::{domain, Constraints};
 use crate::error::{Error, Result};
 use crate::fit::{fit_heights, flip_pass, Blend};
 use crate::grid::{Grid, Height};
+use crate::measure::count_covered;
 use crate::memory;
+use crate::mesh::Mesh;
 use crate::order::{by_place, scramble};
 use crate::outline::Shape;
 use crate::predicate::Metric;
@@ -28,8 +30,11 @@ pub enum Scales {
 pub struct Options {
     /// Number of vertices to stop at; the outline alone may need more.
     pub max_points: usize,
-    /// New vertices at most in each scale.
-    pub points_per_scale: usize,
+    /// Whether that number is one for the whole raster, of which the part inside the
+    /// clip polygons gets its share.
+    pub is_share: bool,
+    /// New vertices at most in each scale; if not given, an even share of all.
+    pub points_per_scale: Option<usize>,
     pub rule: Rule,
     /// Whether a tolerance was asked for: 0 is one, too.
     pub has_tolerance: bool,
@@ -119,6 +124,9 @@ pub fn triangulate<T: Height>(
         }
         Scales::Given(sigmas) => (sigmas.clone(), gaussian(&unmarked, sigmas[0], progress)?),
     };
+    let most = count_limit(&surface.mesh, &unmarked, options, progress)?;
+    let even = if most == MAX_POINTS { MAX_POINTS } else { most.div_ceil(scales.len()) };
+    let per_scale = options.points_per_scale.unwrap_or(even);
     if bounded && scales.last() != Some(&[0.0; 2]) {
         scales.push([0.0; 2]);
     }
@@ -129,7 +137,6 @@ pub fn triangulate<T: Height>(
     refiner.surface.sample(&image);
     refiner.insert(&options.constraints.pixels, &image);
     let largest = data.z().iter().fold(0.0f64, |most, z| most.max(z.to_f64().abs()));
-    let most = options.max_points.min(MAX_POINTS);
     let is_too_few = refiner.count() > most;
     let mut stop = Stop::Tolerance;
     for (i, &sigma) in scales.iter().enumerate() {
@@ -142,7 +149,7 @@ pub fn triangulate<T: Height>(
             }
         }
         progress.stage("refine")?;
-        let limit = most.min(refiner.count().saturating_add(options.points_per_scale));
+        let limit = most.min(refiner.count().saturating_add(per_scale));
         let mut rule = options.rule;
         if sigma != [0.0; 2] || !hard.is_empty() {
             // Smoothing rounds, and so do heights along an edge.
@@ -164,7 +171,7 @@ pub fn triangulate<T: Height>(
     let delaunay =
         flip(&mut refiner.surface, &Grid::new(&target, grid.rows(), grid.cols())?, options, progress)?;
     if bounded && (options.fit || options.flips > 0) {
-        stop = restore_bound(&mut refiner, &data, options, progress)?;
+        stop = restore_bound(&mut refiner, &data, &options.rule, most, progress)?;
     }
     stop = match stop {
         _ if is_too_few => Stop::Outline,
@@ -201,6 +208,21 @@ fn validate<T: Height>(options: &Options, grid: &Grid<T>) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// The number of vertices to stop at.
+fn count_limit<T: Height>(
+    mesh: &Mesh,
+    grid: &Grid<T>,
+    options: &Options,
+    progress: &mut Progress,
+) -> Result<usize> {
+    let most = options.max_points.min(MAX_POINTS);
+    if !options.is_share || options.constraints.clip.is_none() {
+        return Ok(most);
+    }
+    let inside = count_covered(mesh, grid, progress)? as f64 / grid.count_valid() as f64;
+    Ok((most as f64 * inside).round() as usize)
 }
 
 fn prepare<'a, T: Height>(
@@ -278,10 +300,11 @@ fn flip<T: Height>(
 fn restore_bound<T: Height>(
     refiner: &mut Refiner,
     data: &Grid<T>,
-    options: &Options,
+    rule: &Rule,
+    max_points: usize,
     progress: &mut Progress,
 ) -> Result<Stop> {
-    let tolerance = options.rule.tolerance;
+    let tolerance = rule.tolerance;
     let Surface { mesh, z, is_fixed } = &mut refiner.surface;
     for ((z, p), is_fixed) in z.iter_mut().zip(mesh.points()).zip(is_fixed) {
         let here = p.as_pixel().map_or(f64::NAN, |(col, row)| data.at(col, row));
@@ -290,5 +313,5 @@ fn restore_bound<T: Height>(
         }
     }
     progress.stage("refine")?;
-    refiner.run(data, &options.rule, options.max_points.min(MAX_POINTS), progress)
+    refiner.run(data, rule, max_points, progress)
 }

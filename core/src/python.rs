@@ -268,7 +268,7 @@ fn polygon(rings: &Rings<'_>) -> PyResult<Polygon> {
 
 /// Triangulates a raster; see `tin.triangulate` for the meaning of the options.
 #[pyfunction]
-#[pyo3(signature = (z, metric, *, max_points, points_per_scale, priority, weight, candidate, tolerance, bound,
+#[pyo3(signature = (z, metric, *, max_points, is_share, points_per_scale, priority, weight, candidate, tolerance, bound,
                     stop_at_noise, scales, despike, fit, flips, outline_tolerance, keep_isolated, sieve,
                     pixels, points, lines, clip, flat, progress=None))]
 #[allow(clippy::too_many_arguments)]
@@ -277,6 +277,7 @@ fn triangulate(
     z: Heights<'_>,
     metric: (f64, f64, f64),
     max_points: Option<usize>,
+    is_share: bool,
     points_per_scale: Option<usize>,
     priority: f64,
     weight: f64,
@@ -302,12 +303,13 @@ fn triangulate(
         pixels,
         points: vertices(&points)?,
         lines: lines.iter().map(vertices).collect::<PyResult<_>>()?,
-        clip: clip.map(|areas| areas.iter().map(|rings| polygon(rings)).collect()).transpose()?,
+        clip: clip.map(|areas| areas.iter().map(polygon).collect()).transpose()?,
         flat: flat.iter().map(|(rings, level)| Ok((polygon(rings)?, *level))).collect::<PyResult<_>>()?,
     };
     let options = Options {
         max_points: max_points.unwrap_or(usize::MAX),
-        points_per_scale: points_per_scale.unwrap_or(usize::MAX),
+        is_share,
+        points_per_scale,
         rule: Rule { priority, weight, candidate, tolerance: tolerance.unwrap_or(0.0), bound },
         has_tolerance: tolerance.is_some(),
         stop_at_noise,

@@ -314,3 +314,18 @@ fn what_rounds_into_the_raster_is_inside() {
         assert_eq!(height_at(&done.surface, lattice([vertex[0], vertex[1], FREE])), Some(z));
     }
 }
+
+#[test]
+fn a_share_of_the_points_goes_with_the_share_of_the_raster_inside_the_clip_polygons() {
+    let side = 41;
+    let z = hills(side, side, 4);
+    let quarter = vec![vec![[0.0, 0.0, FREE], [20.0, 0.0, FREE], [20.0, 20.0, FREE], [0.0, 20.0, FREE]]];
+    let given = Constraints { clip: Some(vec![quarter]), ..Constraints::default() };
+    let points = |is_share: bool| {
+        let options = Options { is_share, ..plain(MAX, 400) };
+        let done = run(&z, side, side, &with(given.clone(), options)).unwrap();
+        done.surface.z.iter().filter(|z| !z.is_nan()).count()
+    };
+    assert_eq!(points(false), 400);
+    assert_eq!(points(true), (400.0 * (21.0 * 21.0) / (41.0 * 41.0_f64)).round() as usize);
+}

@@ -8,7 +8,7 @@ use common::{
     sorted, triangle_set, Random, AUTO, MAX, PAPER,
 };
 use dem2tin_core::grid::Grid;
-use dem2tin_core::pipeline::Scales;
+use dem2tin_core::pipeline::{Options, Scales};
 use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::refine::{quantile_index, Refiner, Rule, Stop};
 use proptest::prelude::*;
@@ -178,7 +178,7 @@ fn each_scale_adds_at_most_its_points() {
     let z = hills(rows, cols, 3);
     let mut options = plain(PAPER, usize::MAX);
     options.scales = Scales::Given(vec![[2.0; 2], [1.0; 2], [0.0; 2]]);
-    options.points_per_scale = 50;
+    options.points_per_scale = Some(50);
     let done = run(&z, rows, cols, &options).unwrap();
     assert_eq!(done.surface.mesh.points().len(), 4 + 3 * 50);
     options.max_points = 100;
@@ -219,4 +219,16 @@ fn points_beyond_what_the_outline_needs_are_not_added() {
     assert_eq!(place_set(bare.surface.mesh.points()), place_set(outline.mesh.points()));
     assert_eq!(bare.report.stop, Stop::Outline);
     assert_eq!(fingerprint(&bare), fingerprint(&run(&z, 30, 30, &plain(MAX, 4)).unwrap()));
+}
+
+#[test]
+fn scales_share_the_points_evenly_unless_told_otherwise() {
+    let z = hills(30, 30, 6);
+    let scales = Scales::Given(vec![[2.0; 2], [1.0; 2], [0.5; 2], [0.0; 2]]);
+    let even = Options { scales, ..plain(PAPER, 80) };
+    let told = Options { points_per_scale: Some(20), ..even.clone() };
+    let greedy = Options { points_per_scale: Some(80), ..even.clone() };
+    let result = |options: &Options| fingerprint(&run(&z, 30, 30, options).unwrap());
+    assert_eq!(result(&even), result(&told));
+    assert_ne!(result(&even), result(&greedy));
 }

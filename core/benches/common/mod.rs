@@ -52,7 +52,8 @@ pub fn method(name: &str, max_points: usize) -> Option<Options> {
         |priority, weight, candidate, bound| Rule { priority, weight, candidate, tolerance: 0.0, bound };
     let plain = Options {
         max_points,
-        points_per_scale: usize::MAX,
+        is_share: false,
+        points_per_scale: None,
         rule: rule(1.0, 0.0, 1.0, 1.0),
         has_tolerance: false,
         stop_at_noise: false,
@@ -67,7 +68,7 @@ pub fn method(name: &str, max_points: usize) -> Option<Options> {
     match name {
         "max" => Some(plain),
         "median" => Some(Options {
-            points_per_scale: max_points.div_ceil(scales.len()),
+            points_per_scale: None,
             rule: rule(0.5, 0.0, 0.5, 0.5),
             scales: Scales::Given(scales.map(|sigma| [sigma; 2]).to_vec()),
             ..plain

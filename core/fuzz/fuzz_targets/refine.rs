@@ -66,7 +66,8 @@ fn options(u: &mut Unstructured, rows: usize, cols: usize) -> Result<Options> {
     let initial = u.int_in_range(0..=4)?;
     Ok(Options {
         max_points: size(u, rows * cols + 5)?,
-        points_per_scale: size(u, 20)?,
+        is_share: u.arbitrary()?,
+        points_per_scale: Some(size(u, 20)?),
         rule,
         has_tolerance: u.arbitrary()?,
         stop_at_noise: u.arbitrary()?,

@@ -63,7 +63,8 @@ pub fn quietly<R>(work: impl FnOnce(&mut Progress) -> R) -> R {
 pub fn plain(rule: Rule, max_points: usize) -> Options {
     Options {
         max_points,
-        points_per_scale: usize::MAX,
+        is_share: false,
+        points_per_scale: None,
         rule,
         has_tolerance: rule.tolerance > 0.0,
         stop_at_noise: false,

@@ -87,7 +87,8 @@ pub fn any_options() -> impl Strategy<Value = Options> {
             let rule = Rule { priority, weight, candidate, tolerance, bound };
             Options {
                 max_points,
-                points_per_scale,
+                is_share: false,
+                points_per_scale: Some(points_per_scale),
                 rule,
                 has_tolerance,
                 stop_at_noise,
