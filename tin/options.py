@@ -6,52 +6,16 @@ The command line, the Python keywords and the QGIS parameters are all made from
 
 from __future__ import annotations
 
-import math
-import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from tin.crs import CRS, UTM
+from tin import values
 from tin.errors import OptionError
+from tin.values import MIN_POINTS, NOISE_STOP, Distance, Share
 
 if TYPE_CHECKING:
     from tin.dem import DEM
-
-MIN_POINTS = 4
-MAX_POINTS = 2**29  # the core numbers edges, six a vertex, in 32 bits
-NOISE_STOP = "auto"
-MAX_SCALES = 32
-MAX_SIGMA = 100.0  # pixels; the core refuses more
-
-
-@dataclass(frozen=True)
-class Distance:
-    """A length on the ground, in units of the CRS (metres where it is geographic), or in pixels."""
-
-    value: float
-    in_pixels: bool = False
-
-    def in_pixels_of(self, dem: DEM) -> tuple[float, float]:
-        """The length along the columns' and along the rows' direction, in pixels."""
-        if self.in_pixels:
-            return self.value, self.value
-        along_x, _, along_y = dem.metric()
-        metres = self.value * (dem.crs.unit_factor if dem.crs else 1.0)
-        return metres / math.sqrt(along_x), metres / math.sqrt(along_y)
-
-    def __str__(self) -> str:
-        return f"{self.value:g}{'px' if self.in_pixels else ''}"
-
-
-@dataclass(frozen=True)
-class Share:
-    """A part of the DEM's valid pixels."""
-
-    percent: float
-
-    def __str__(self) -> str:
-        return f"{self.percent:g}%"
 
 
 @dataclass(frozen=True)
@@ -81,100 +45,6 @@ class Option:
         except (TypeError, ValueError, OverflowError) as error:
             reason = str(error) or f"not understood: {value!r}"
             raise OptionError("bad-option", f"{self.flag}: {reason}") from error
-
-
-def _number(value: Any, least: float = 0.0, most: float = math.inf) -> float:
-    if isinstance(value, bool):
-        raise ValueError(f"{value!r} is not a number")
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"{value!r} is not a number") from None
-    if not math.isfinite(number) or not least <= number <= most:
-        limits = [
-            f"at {word} {limit:.10g}"
-            for word, limit in (("least", least), ("most", most))
-            if math.isfinite(limit)
-        ]
-        raise ValueError(", ".join([f"{value!r} must be a finite number", " and ".join(limits)]).rstrip(", "))
-    return number
-
-
-def _whole(value: Any, least: int, most: float = math.inf) -> int:
-    number = _number(value, least, most)
-    if number != int(number):
-        raise ValueError(f"{value!r} is not a whole number")
-    return int(number)
-
-
-def _points(value: Any) -> int | Share | str:
-    if isinstance(value, Share):
-        return value
-    if isinstance(value, str) and value.strip().lower() == NOISE_STOP:
-        return NOISE_STOP
-    if isinstance(value, str) and value.strip().endswith("%"):
-        percent = _number(value.strip()[:-1], 0.0, 100.0)
-        if percent == 0.0:
-            raise ValueError("0% leaves no points; give more than that")
-        return Share(percent)
-    return _whole(value, MIN_POINTS, MAX_POINTS)
-
-
-def _distance(value: Any) -> Distance:
-    if isinstance(value, Distance):
-        return value
-    text = value.strip() if isinstance(value, str) else value
-    if isinstance(text, str) and text.lower().endswith("px"):
-        return Distance(_number(text[:-2], 0.0, MAX_SIGMA), in_pixels=True)
-    return Distance(_number(text))
-
-
-def _scales(value: Any) -> tuple[Distance, ...] | None:
-    if isinstance(value, str):
-        if value.strip().lower() == "auto":
-            return None
-        parts: Iterable[Any] = value.split(",")
-    else:
-        parts = value if isinstance(value, Iterable) else [value]
-    scales = tuple(_distance(part) for part in parts)
-    if not 1 <= len(scales) <= MAX_SCALES:
-        raise ValueError(f"give 1 to {MAX_SCALES} scales")
-    return scales
-
-
-_QUANTILES = {"median": 0.5, "max": 1.0}
-
-
-def _quantile(value: Any) -> float:
-    number = _QUANTILES.get(value.strip().lower()) if isinstance(value, str) else None
-    if number is None:
-        number = _number(value, 0.0, 1.0)
-    if number == 0.0:
-        raise ValueError("a quantile must be above 0 and at most 1")
-    return number
-
-
-def _layer(value: Any) -> str:
-    return os.fsdecode(value)
-
-
-def _switch(value: Any) -> bool:
-    if value in (True, False):
-        return bool(value)
-    raise ValueError(f"{value!r} is neither true nor false")
-
-
-def _factor(value: Any) -> float:
-    number = _number(value, -math.inf)
-    if number == 0.0:
-        raise ValueError("a factor of 0 would make the DEM flat")
-    return number
-
-
-def _crs(value: Any) -> Any:
-    if isinstance(value, str) and value.strip().lower() == UTM:
-        return UTM
-    return CRS.parse(value)
 
 
 def _method(value: Any) -> str:
@@ -218,14 +88,14 @@ METHODS: Mapping[str, Mapping[str, Any]] = {
 OPTIONS: tuple[Option, ...] = (
     Option(
         "max_points",
-        _points,
+        values.points,
         "stop at N vertices, at P percent of the valid pixels, or (auto) where more would only fit the noise "
         "(default: 5%, or no limit with a tolerance)",
         metavar="N|P%|auto",
     ),
     Option(
         "tolerance",
-        _number,
+        values.real,
         "stop when the error metric is at most Z in every triangle; with the methods auto and max no "
         "pixel is then farther than Z from the TIN",
         metavar="Z",
@@ -241,28 +111,28 @@ OPTIONS: tuple[Option, ...] = (
     ),
     Option(
         "metric",
-        _quantile,
+        values.quantile,
         "quantile of a triangle's errors that ranks it: median, max or a number above 0 up to 1",
         metavar="median|max|Q",
         advanced=True,
     ),
     Option(
         "weight",
-        lambda value: _number(value, 0.0, 4.0),
+        lambda value: values.real(value, 0.0, 4.0),
         "a triangle's rank is multiplied by its number of pixels to this power",
         metavar="A",
         advanced=True,
     ),
     Option(
         "candidate",
-        _quantile,
+        values.quantile,
         "quantile of a triangle's errors at which the pixel to insert stands",
         metavar="median|max|Q",
         advanced=True,
     ),
     Option(
         "scales",
-        _scales,
+        values.scales,
         "standard deviations of the Gaussian smoothing, coarse to fine, or auto; 0 is the DEM itself",
         metavar="S,S,...",
         unit="ground units of the CRS (metres where it is geographic), or pixels with the suffix px",
@@ -270,29 +140,31 @@ OPTIONS: tuple[Option, ...] = (
     ),
     Option(
         "points_per_scale",
-        lambda value: _whole(value, 1, MAX_POINTS),
+        lambda value: values.whole(value, 1, values.MAX_POINTS),
         "new vertices at most in each scale (default: an even share of the points)",
         metavar="M",
         advanced=True,
     ),
     Option(
         "despike",
-        _switch,
+        values.switch,
         "replace single pixels that stand out of their neighbours",
         is_flag=True,
         advanced=True,
     ),
-    Option("fit", _switch, "fit the heights of the vertices by least squares", is_flag=True, advanced=True),
+    Option(
+        "fit", values.switch, "fit the heights of the vertices by least squares", is_flag=True, advanced=True
+    ),
     Option(
         "flips",
-        lambda value: _whole(value, 0, 100),
+        lambda value: values.whole(value, 0, 100),
         "rounds of edge flips that lower the squared error; the TIN is then not Delaunay",
         metavar="K",
         advanced=True,
     ),
     Option(
         "outline_tolerance",
-        _distance,
+        values.distance,
         "distance by which the outline of the data may take in void; data are never cut off",
         default=Distance(1.0, in_pixels=True),
         metavar="D",
@@ -302,7 +174,7 @@ OPTIONS: tuple[Option, ...] = (
     ),
     Option(
         "keep_isolated",
-        _switch,
+        values.switch,
         "give single pixels and lines one pixel wide a small area, so that they are in the TIN",
         default=False,
         is_flag=True,
@@ -310,7 +182,7 @@ OPTIONS: tuple[Option, ...] = (
     ),
     Option(
         "sieve",
-        lambda value: _whole(value, 0, MAX_POINTS),
+        lambda value: values.whole(value, 0, values.MAX_POINTS),
         "leave out islands of fewer pixels, and fill holes of fewer",
         default=0,
         metavar="PIXELS",
@@ -318,7 +190,7 @@ OPTIONS: tuple[Option, ...] = (
     ),
     Option(
         "breaklines",
-        _layer,
+        values.layer,
         "vector file of lines that become edges of the TIN; lines with heights keep them, the others take "
         "those of the DEM",
         metavar="FILE[:LAYER]",
@@ -326,21 +198,21 @@ OPTIONS: tuple[Option, ...] = (
     ),
     Option(
         "points",
-        _layer,
+        values.layer,
         "vector file of points that are vertices from the start; points with heights keep place and height",
         metavar="FILE[:LAYER]",
         group="constraints",
     ),
     Option(
         "clip",
-        _layer,
+        values.layer,
         "vector file of polygons: what lies outside is left out",
         metavar="FILE[:LAYER]",
         group="constraints",
     ),
     Option(
         "flat",
-        _layer,
+        values.layer,
         "vector file of polygons, such as lakes, that are kept level: at their own height, or at the DEM's "
         "median there",
         metavar="FILE[:LAYER]",
@@ -348,16 +220,18 @@ OPTIONS: tuple[Option, ...] = (
     ),
     Option(
         "soft",
-        _switch,
+        values.switch,
         "ignore the heights of breaklines and points",
         default=False,
         group="constraints",
         is_flag=True,
     ),
-    Option("band", lambda value: _whole(value, 1), "band to read", default=1, metavar="B", group="input"),
+    Option(
+        "band", lambda value: values.whole(value, 1), "band to read", default=1, metavar="B", group="input"
+    ),
     Option(
         "z_factor",
-        _factor,
+        values.factor,
         "multiply the heights while reading, for example 0.3048 for feet to metres",
         default=1.0,
         metavar="F",
@@ -365,7 +239,7 @@ OPTIONS: tuple[Option, ...] = (
     ),
     Option(
         "allow_remote",
-        _switch,
+        values.switch,
         "also read files from the network",
         default=False,
         group="input",
@@ -374,14 +248,14 @@ OPTIONS: tuple[Option, ...] = (
     ),
     Option(
         "to_crs",
-        _crs,
+        values.crs,
         "put the TIN into another CRS, or (utm) into the UTM zone of the DEM's centre; heights stay",
         metavar="EPSG:N|utm",
         group="output",
     ),
     Option(
         "y_up",
-        _switch,
+        values.switch,
         "OBJ with y upwards (x east, z south), as games expect it",
         default=False,
         group="output",

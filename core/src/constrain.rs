@@ -2,10 +2,10 @@
 //! two of them cross, they meet in a vertex.
 
 use crate::label::{Label, Labels};
-use crate::locate::Location;
 use crate::mesh::{half_edge, next, prev, triangle_of, Mesh, NONE};
 use crate::predicate::{orient2d, Point};
 use crate::surface::lerp;
+use crate::triangle::Location;
 use std::collections::VecDeque;
 
 /// Inserts segments between vertices of a mesh.

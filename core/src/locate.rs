@@ -2,14 +2,7 @@
 
 use crate::mesh::{half_edge, triangle_of, Class, Mesh, NONE};
 use crate::predicate::{orient2d, Point};
-
-/// Where a point fell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Location {
-    Face(u32),
-    Edge(u32),
-    Vertex(u32),
-}
+use crate::triangle::Location;
 
 impl Mesh {
     /// Walks from triangle `start` to the place of `p`, which lies in the rectangle.

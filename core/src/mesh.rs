@@ -3,10 +3,9 @@
 //! The mesh knows points and the metric, never heights. A constrained edge is never
 //! flipped, only split.
 
-use crate::locate::Location;
 use crate::predicate::{orient2d, Metric, Point};
 pub use crate::triangle::{half_edge, next, prev, triangle_of, Class, Triangle, NONE};
-use crate::triangle::{CLASS, CONSTRAINED, EDGE};
+use crate::triangle::{Location, CLASS, CONSTRAINED, EDGE};
 
 #[derive(Clone)]
 pub struct Mesh {

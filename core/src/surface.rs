@@ -1,9 +1,9 @@
 //! A mesh whose vertices have heights.
 
 use crate::grid::{Grid, Height};
-use crate::locate::Location;
 use crate::mesh::Mesh;
 use crate::predicate::Point;
+use crate::triangle::Location;
 
 #[derive(Clone)]
 pub struct Surface {

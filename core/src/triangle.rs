@@ -78,6 +78,14 @@ impl Triangle {
     }
 }
 
+/// Where a point fell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Location {
+    Face(u32),
+    Edge(u32),
+    Vertex(u32),
+}
+
 #[inline]
 pub fn next(h: u32) -> u32 {
     if h & 3 == 2 {

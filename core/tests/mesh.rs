@@ -4,9 +4,9 @@
 mod common;
 
 use common::{assert_sound, contains, form, sorted, triangle_set, Random, FORMS};
-use dem2tin_core::locate::Location;
 use dem2tin_core::mesh::Mesh;
 use dem2tin_core::predicate::{Metric, Point, UNIT};
+use dem2tin_core::triangle::Location;
 use proptest::prelude::*;
 use spade::{DelaunayTriangulation, Point2, Triangulation};
 use std::collections::{BTreeSet, HashMap};

@@ -6,9 +6,9 @@ mod common;
 use common::{assert_sound, form, outlined, quietly, Random, FORMS};
 use dem2tin_core::error::Error;
 use dem2tin_core::grid::Grid;
-use dem2tin_core::locate::Location;
 use dem2tin_core::measure::rasterise;
 use dem2tin_core::predicate::{orient2d, Metric, Point, UNIT};
+use dem2tin_core::triangle::Location;
 use proptest::prelude::*;
 
 /// A mask by characters: '#' valid, anything else void.
