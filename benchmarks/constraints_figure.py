@@ -46,7 +46,7 @@ def main(folder: Path) -> None:
         *np.column_stack([85 + (22 + 4 * np.sin(3 * angle)) * np.cos(angle), 62 + 16 * np.sin(angle)])
     )
     island = place(*np.column_stack([88 + 6 * np.cos(angle), 62 + 4 * np.sin(angle)]))
-    road = place((6, 12, 600), (45, 40, 560), (70, 20, 560), (122, 30, 640))
+    road = place((6, 12), (45, 40), (70, 20), (122, 30))
     clip = place((2, 4), (80, 1), (127, 20), (124, 92), (60, 97), (8, 80))
     made = Figure((10, 4.2), layout="constrained")
     one, other = made.subplots(1, 2)

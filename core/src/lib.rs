@@ -6,7 +6,7 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
-pub mod burn;
+pub mod beside;
 pub mod check;
 pub mod constrain;
 pub mod crop;

@@ -1,6 +1,6 @@
 //! From heights to a mesh: the stages in their order, each a switch of its own.
 
-use crate::burn::{burn, hard_pixels};
+use crate::beside::{beside_hard_edges, leave_out};
 use crate::domain::{domain, Constraints};
 use crate::error::{Error, Result};
 use crate::fit::{fit_heights, flip_pass, Blend};
@@ -88,7 +88,7 @@ const MAX_POINTS: usize = 1 << 29;
 /// Squares and products of heights must not overflow.
 const MAX_HEIGHT: f64 = 1e100;
 
-/// What arithmetic may round off a height, as a part of the largest one.
+/// What smoothing may round off a height, as a part of the largest one.
 const ROUNDING: f64 = 1e-13;
 
 /// Residuals up to this many standard deviations of the noise are taken for noise.
@@ -103,14 +103,13 @@ pub fn triangulate<T: Height>(
     progress: &mut Progress,
 ) -> Result<Triangulation> {
     validate(options, grid)?;
-    let Images { data: unmarked, spikes, noise } = prepare(grid, options, progress)?;
-    let unmarked = Grid::new(&unmarked, grid.rows(), grid.cols())?;
+    let Images { data: whole, spikes, noise } = prepare(grid, options, progress)?;
+    let whole = Grid::new(&whole, grid.rows(), grid.cols())?;
     progress.stage("outline")?;
-    let surface = domain(&unmarked, metric, &options.shape, &options.constraints, progress)?;
-    // Smoothing must not see the hard edges, what is refined and fitted must.
-    let hard = hard_pixels(&surface, grid.rows(), grid.cols());
-    let mut data = Cow::Borrowed(unmarked.z());
-    burn(&mut data, &hard);
+    let surface = domain(&whole, metric, &options.shape, &options.constraints, progress)?;
+    let beside = beside_hard_edges(&surface.mesh, grid.rows(), grid.cols());
+    let mut data = Cow::Borrowed(whole.z());
+    leave_out(&mut data, &beside);
     let data = Grid::new(&data, grid.rows(), grid.cols())?;
 
     progress.stage("smooth")?;
@@ -119,19 +118,19 @@ pub fn triangulate<T: Height>(
         // A bound on the error counts against the data, so nothing is smoothed away.
         Scales::Auto if bounded => (vec![[0.0; 2]], Cow::Borrowed(data.z())),
         Scales::Auto => {
-            let smooth = choose(&unmarked, noise, progress)?;
+            let smooth = choose(&whole, noise, progress)?;
             (vec![[smooth.sigma; 2]], smooth.z)
         }
-        Scales::Given(sigmas) => (sigmas.clone(), gaussian(&unmarked, sigmas[0], progress)?),
+        Scales::Given(sigmas) => (sigmas.clone(), gaussian(&whole, sigmas[0], progress)?),
     };
-    let most = count_limit(&surface.mesh, &unmarked, options, progress)?;
+    let most = count_limit(&surface.mesh, &whole, options, progress)?;
     let even = if most == MAX_POINTS { MAX_POINTS } else { most.div_ceil(scales.len()) };
     let per_scale = options.points_per_scale.unwrap_or(even);
     if bounded && scales.last() != Some(&[0.0; 2]) {
         scales.push([0.0; 2]);
     }
 
-    burn(&mut finest, &hard);
+    leave_out(&mut finest, &beside);
     let mut refiner = Refiner::new(surface);
     let image = Grid::new(&finest, grid.rows(), grid.cols())?;
     refiner.surface.sample(&image);
@@ -142,8 +141,8 @@ pub fn triangulate<T: Height>(
     for (i, &sigma) in scales.iter().enumerate() {
         if i > 0 {
             progress.stage("smooth")?;
-            finest = gaussian(&unmarked, sigma, progress)?;
-            burn(&mut finest, &hard);
+            finest = gaussian(&whole, sigma, progress)?;
+            leave_out(&mut finest, &beside);
             if bounded && sigma == [0.0; 2] {
                 refiner.surface.sample(&data);
             }
@@ -151,8 +150,8 @@ pub fn triangulate<T: Height>(
         progress.stage("refine")?;
         let limit = most.min(refiner.count().saturating_add(per_scale));
         let mut rule = options.rule;
-        if sigma != [0.0; 2] || !hard.is_empty() {
-            // Smoothing rounds, and so do heights along an edge.
+        if sigma != [0.0; 2] {
+            // Smoothing rounds: without it nothing is known below this.
             rule.tolerance = rule.tolerance.max(ROUNDING * largest);
         }
         if options.stop_at_noise {
