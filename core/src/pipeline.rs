@@ -107,9 +107,14 @@ pub fn triangulate<T: Height>(
     let whole = Grid::new(&whole, grid.rows(), grid.cols())?;
     progress.stage("outline")?;
     let surface = domain(&whole, metric, &options.shape, &options.constraints, progress)?;
-    let beside = beside_hard_edges(&surface.mesh, grid.rows(), grid.cols());
+    let mut beside = beside_hard_edges(&surface.mesh, grid.rows(), grid.cols());
     let mut data = Cow::Borrowed(whole.z());
     leave_out(&mut data, &beside);
+    if data.iter().all(|z| z.to_f64().is_nan()) {
+        // Free vertices need a height from somewhere.
+        beside.clear();
+        data = Cow::Borrowed(whole.z());
+    }
     let data = Grid::new(&data, grid.rows(), grid.cols())?;
 
     progress.stage("smooth")?;
@@ -200,6 +205,11 @@ fn validate<T: Height>(options: &Options, grid: &Grid<T>) -> Result<()> {
     }
     if grid.z().iter().any(|z| z.to_f64().abs() > MAX_HEIGHT) {
         return Err(Error::input("height-range", "heights beyond 1e100 are no terrain"));
+    }
+    let Constraints { points, lines, flat, .. } = &options.constraints;
+    let heights = points.iter().chain(lines.iter().flatten()).map(|v| v[2]).chain(flat.iter().map(|f| f.1));
+    if heights.filter(|z| !z.is_nan()).any(|z| z.abs() > MAX_HEIGHT) {
+        return Err(Error::input("height-range", "heights of constraints beyond 1e100 are no terrain"));
     }
     if let Scales::Given(sigmas) = &options.scales {
         if sigmas.is_empty() || !sigmas.iter().flatten().all(|s| (0.0..=MAX_SIGMA).contains(s)) {

@@ -327,3 +327,27 @@ fn a_share_of_the_points_goes_with_the_share_of_the_raster_inside_the_clip_polyg
     assert_eq!(points(false), 400);
     assert_eq!(points(true), (400.0 * (21.0 * 21.0) / (41.0 * 41.0_f64)).round() as usize);
 }
+
+#[test]
+fn a_raster_that_lies_on_hard_lines_as_a_whole_still_has_heights() {
+    let z = [1.0, 2.0, 3.0, 4.0];
+    let cross = |a: f64, b: f64| vec![[0.0, a, 7.0], [1.0, b, 7.0]];
+    let given = Constraints {
+        lines: vec![cross(0.0, 0.0), cross(1.0, 1.0)],
+        pixels: vec![(0, 1)],
+        ..Constraints::default()
+    };
+    let soft = vec![[0.2, 0.3, FREE], [0.8, 0.6, FREE]];
+    let given = Constraints { lines: [given.lines, vec![soft]].concat(), pixels: given.pixels, ..given };
+    for options in [plain(MAX, 20), full(AUTO, 20)] {
+        let done = run(&z, 2, 2, &with(given.clone(), options)).unwrap();
+        assert!(done.surface.z.iter().all(|z| z.is_finite()));
+    }
+}
+
+#[test]
+fn constraints_higher_than_any_terrain_are_refused() {
+    let given = Constraints { points: vec![[1.0, 1.0, 1e200]], ..Constraints::default() };
+    let failed = run(&[0.0; 16], 4, 4, &with(given, plain(MAX, 9)));
+    assert!(matches!(failed, Err(Error::Input { code: "height-range", .. })));
+}

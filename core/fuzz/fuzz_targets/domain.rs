@@ -1,14 +1,18 @@
-//! Outline, breaklines, clip polygons and level areas on small rasters with voids.
+//! Outline, breaklines, clip polygons and level areas on small rasters with voids,
+//! through all stages.
 #![no_main]
 
 use arbitrary::{Arbitrary, Result, Unstructured};
 use dem2tin_core::crop::Vertex;
-use dem2tin_core::domain::{domain, Constraints, Polygon};
+use dem2tin_core::domain::{Constraints, Polygon};
 use dem2tin_core::error::Error;
 use dem2tin_core::grid::Grid;
 use dem2tin_core::outline::Shape;
+use dem2tin_core::pipeline::{triangulate, Options, Scales};
 use dem2tin_core::predicate::Metric;
 use dem2tin_core::progress::Progress;
+use dem2tin_core::refine::Rule;
+use dem2tin_core::surface::Surface;
 use dem2tin_core_fuzz::{assert_sound, metric};
 use libfuzzer_sys::fuzz_target;
 
@@ -19,6 +23,7 @@ struct Input {
     metric: Metric,
     shape: Shape,
     constraints: Constraints,
+    is_plain: bool,
     z: Vec<f64>,
 }
 
@@ -66,23 +71,45 @@ impl<'a> Arbitrary<'a> for Input {
         let z = (0..rows * cols)
             .map(|i| Ok(if u8::arbitrary(u)? < 200 { (i * i % 7) as f64 } else { f64::NAN }))
             .collect::<Result<_>>()?;
-        Ok(Input { rows, cols, metric, shape, constraints, z })
+        Ok(Input { rows, cols, metric, shape, constraints, is_plain: u.arbitrary()?, z })
+    }
+}
+
+/// Garland and Heckbert's method, or all stages.
+fn options(is_plain: bool, shape: Shape, constraints: Constraints) -> Options {
+    let priority = if is_plain { 1.0 } else { 0.5 };
+    Options {
+        max_points: 60,
+        is_share: is_plain,
+        points_per_scale: None,
+        rule: Rule { priority, weight: 0.0, candidate: 1.0, tolerance: 0.0, bound: 1.0 },
+        has_tolerance: false,
+        stop_at_noise: false,
+        scales: if is_plain { Scales::Given(vec![[0.0; 2]]) } else { Scales::Auto },
+        despike: !is_plain,
+        fit: !is_plain,
+        flips: if is_plain { 0 } else { 2 },
+        shape,
+        constraints,
     }
 }
 
 fuzz_target!(|input: Input| {
-    let Input { rows, cols, metric, shape, constraints, z } = input;
+    let Input { rows, cols, metric, shape, constraints, is_plain, z } = input;
     let Ok(grid) = Grid::new(&z, rows, cols) else { unreachable!("the sides are 2 or more") };
     let mut report = |_: &'static str, _: f64| true;
-    match domain(&grid, metric, &shape, &constraints, &mut Progress::new(&mut report)) {
-        Ok(surface) => {
-            assert_sound(&surface.mesh, true);
-            for triangle in surface.mesh.triangles().iter().filter(|t| !t.is_void()) {
-                assert!(triangle.v.iter().all(|&v| surface.z[v as usize].is_finite()), "no height");
+    let options = options(is_plain, shape, constraints);
+    match triangulate(&grid, metric, &options, &mut Progress::new(&mut report)) {
+        Ok(done) => {
+            let Surface { mesh, z, .. } = done.surface;
+            assert_sound(&mesh, done.report.delaunay);
+            for triangle in mesh.triangles().iter().filter(|t| !t.is_void()) {
+                assert!(triangle.v.iter().all(|&v| z[v as usize].is_finite()), "no height");
             }
         }
-        Err(error) => {
-            assert!(matches!(error, Error::Input { code: "no-area" | "clip-outside", .. }), "{error:?}")
-        }
+        Err(error) => assert!(
+            matches!(error, Error::Input { code: "no-area" | "clip-outside" | "height-range", .. }),
+            "{error:?}"
+        ),
     }
 });
