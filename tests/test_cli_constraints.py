@@ -6,6 +6,7 @@ import json
 import os
 from pathlib import Path
 
+import geopandas
 import numpy as np
 import pyogrio
 import pytest
@@ -15,7 +16,6 @@ from test_cli import JACKSBORO, run
 
 import tin
 
-geopandas = pytest.importorskip("geopandas")
 CRS = "EPSG:32616"
 ROOT = Path(__file__).parents[1]
 

@@ -235,7 +235,8 @@ def test_what_is_left_is_the_data_within_the_clip_polygons(name, has_voids):
 
 
 def test_polygons_and_lines_in_another_crs():
-    geopandas = pytest.importorskip("geopandas")
+    import geopandas
+
     source = tin.DEM(Z, transform=(30.0, 0.0, 500000.0, 0.0, -30.0, 5_100_000.0), crs="EPSG:32610")
     clip = box(500300, 5_098_600, 501800, 5_099_700)
     line = LineString([(500400, 5_098_700, 777), (501700, 5_099_500, 777)])
