@@ -311,3 +311,19 @@ def test_what_is_no_terrain_gets_one_line(tmp_path, command, z, profile, words):
     assert said.startswith("dem2tin: ")
     assert said.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["dem.tif"]
+
+
+@pytest.mark.parametrize("wrong", [{"col": np.inf}, {"row": np.nan}, {"x": 1e308}, {"y": -np.inf}])
+def test_control_points_that_are_not_finite_do_not_hang(tmp_path, wrong):
+    corners = [(0.0, 0.0, 10.0, 50.0), (0.0, 7.0, 17.0, 50.0), (6.0, 0.0, 10.0, 44.0)]
+    places = [dict(zip(("row", "col", "x", "y"), corner)) for corner in corners]
+    places[1].update(wrong)
+    places[2].update(wrong)
+    gcps = [rasterio.control.GroundControlPoint(**place) for place in places]
+    path = tmp_path / "gcps.tif"
+    size = {"height": 6, "width": 7, "count": 1, "dtype": "float32", "crs": "EPSG:4326"}
+    with rasterio.open(path, "w", driver="GTiff", gcps=gcps, **size) as file:
+        file.write(np.ones((6, 7), np.float32), 1)
+    with pytest.raises(tin.InputError) as caught:
+        tin.open(path)
+    assert caught.value.code == "gcp-only"

@@ -235,14 +235,19 @@ def _fit(gcps: tuple[Gcp, ...], label: str) -> tuple[float, ...]:
     advice = "warp it first: gdalwarp -tps in.tif out.tif"
     points = np.array(gcps, dtype=np.float64)
     pixel, place = points[:, :2], points[:, 2:]
-    middle = place.mean(axis=0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        middle = place.mean(axis=0)
+        away = place - middle
+    # Least squares never come to an end with what is not finite.
+    if not (np.isfinite(pixel).all() and np.isfinite(away).all()):
+        raise InputError("gcp-only", f"{label}: its ground control points are not finite; {advice}")
     matrix = np.column_stack([pixel, np.ones(len(pixel))])
-    solution, _, rank, _ = np.linalg.lstsq(matrix, place - middle, rcond=None)
+    solution, _, rank, _ = np.linalg.lstsq(matrix, away, rcond=None)
     if rank < 3 or not np.isfinite(solution).all():
         raise InputError("gcp-only", f"{label}: its ground control points lie on a line; {advice}")
     linear = solution[:2].T
     if np.linalg.matrix_rank(linear) == 2:
-        misfit = np.linalg.solve(linear, (place - middle - matrix @ solution).T)
+        misfit = np.linalg.solve(linear, (away - matrix @ solution).T)
         if np.abs(misfit).max() > 0.5:
             worst = f"{np.abs(misfit).max():.1f} px"
             raise InputError("gcp-only", f"{label}: control points are {worst} off an affine; {advice}")
