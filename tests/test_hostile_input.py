@@ -501,3 +501,19 @@ def test_missing_library(tmp_path, monkeypatch, library, magic):
     (tmp_path / "dem.tif").write_bytes(magic)
     monkeypatch.setitem(sys.modules, library, None)
     refused(tmp_path / "dem.tif", "missing-library", says=f"pip install {library}")
+
+
+def test_a_unit_that_is_no_text_is_none(tmp_path):
+    path = tmp_path / "dem.tif"
+    size = {
+        "height": 3,
+        "width": 3,
+        "count": 1,
+        "dtype": "float32",
+        "transform": rasterio.Affine(2, 0, 0, 0, -2, 0),
+    }
+    with rasterio.open(path, "w", driver="GTiff", **size) as file:
+        file.write(np.ones((3, 3), np.float32), 1)
+        file.units = ["metre"]
+    path.write_bytes(path.read_bytes().replace(b"metre", b"m\xfftre"))
+    assert open_dem(path).vertical_unit == ""

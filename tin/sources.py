@@ -49,6 +49,14 @@ class Source:
     unit: str = ""
 
 
+def _unit(src: Any, band: int) -> str:
+    """The band's unit; a name that is no text is as good as none."""
+    try:
+        return str(src.units[band - 1] or "")
+    except UnicodeDecodeError:
+        return ""
+
+
 def from_rasterio(src: Any, band: int) -> Source:
     """Describe a band of a rasterio dataset."""
     label = src.name
@@ -70,7 +78,7 @@ def from_rasterio(src: Any, band: int) -> Source:
         nodata=src.nodatavals[band - 1],
         scale=src.scales[band - 1],
         offset=src.offsets[band - 1],
-        unit=src.units[band - 1] or "",
+        unit=_unit(src, band),
     )
 
 
