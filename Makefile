@@ -13,6 +13,8 @@ QGIS_SITE := target/qgis-site
   bench-core instructions clean
 
 FUZZ_SECONDS ?= 60
+# The same files in every run of CI; any other number tries others.
+FUZZ_SEED ?= 1
 FUZZ_TARGETS := predicates insert constrain outline domain refine
 FUZZ := target/fuzz
 HOST = $(shell rustc -vV | sed -n 's/^host: //p')
@@ -102,7 +104,7 @@ fuzz-%: $(FUZZ)/built
 	  -verbosity=0 -artifact_prefix=$(FUZZ)/found/$*/ $(FUZZ)/new/$* core/fuzz/corpus/$*
 
 fuzz-reader: $(VENV)/installed
-	$(BIN)/python tests/fuzz/reader.py --seconds $(FUZZ_SECONDS) --found $(FUZZ)/found/reader
+	$(BIN)/python tests/fuzz/reader.py --seed $(FUZZ_SEED) --seconds $(FUZZ_SECONDS) --found $(FUZZ)/found/reader
 
 # Micro-benchmarks; some of them: make bench-core BENCH=scan. With BENCH="--save-baseline NAME" and later
 # BENCH="--baseline NAME" the change is shown.
