@@ -33,4 +33,6 @@ pub mod scan;
 pub mod sieve;
 pub mod simplify;
 pub mod surface;
+pub mod threads;
+
 pub mod triangle;

@@ -1,6 +1,8 @@
-//! One progress protocol: `report(stage, fraction) -> bool`, false cancels.
+//! How a run reports and is cancelled, `report(stage, fraction) -> bool` (false cancels), and
+//! how many threads it may use.
 
 use crate::error::{Error, Result};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// Work units (about one pixel visit each) between two looks at the clock.
@@ -16,11 +18,35 @@ pub struct Progress<'a> {
     stage: &'static str,
     work: usize,
     last: Instant,
+    threads: usize,
 }
 
 impl<'a> Progress<'a> {
     pub fn new(report: &'a mut Callback<'a>) -> Self {
-        Progress { report, stage: "", work: 0, last: Instant::now() }
+        Progress { report, stage: "", work: 0, last: Instant::now(), threads: 1 }
+    }
+
+    /// One thread unless told otherwise.
+    pub fn with_threads(self, threads: usize) -> Self {
+        Progress { threads, ..self }
+    }
+
+    pub fn threads(&self) -> usize {
+        self.threads
+    }
+
+    /// Runs a part of a stage, on this thread alone: its fractions count as `within` says, and
+    /// it is cancelled when `is_stopped`, too.
+    pub fn nested<R>(
+        &mut self,
+        within: &dyn Fn(f64) -> f64,
+        is_stopped: &AtomicBool,
+        work: impl FnOnce(&mut Progress) -> R,
+    ) -> R {
+        let (report, stage, last) = (&mut *self.report, self.stage, self.last);
+        let mut inside =
+            |stage, fraction| report(stage, within(fraction)) && !is_stopped.load(Ordering::Relaxed);
+        work(&mut Progress { report: &mut inside, stage, work: 0, last, threads: 1 })
     }
 
     /// Enters a stage; cancels like [`Progress::poll`].
