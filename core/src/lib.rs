@@ -34,5 +34,4 @@ pub mod sieve;
 pub mod simplify;
 pub mod surface;
 pub mod threads;
-
 pub mod triangle;

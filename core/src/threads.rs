@@ -5,6 +5,10 @@ use crate::progress::Progress;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::thread;
+use std::time::Duration;
+
+/// How often a caller with nothing left to do looks whether the run is cancelled.
+const PATIENCE: Duration = Duration::from_millis(20);
 
 /// The results of `work` for every item, in the order of the items. As many threads as
 /// `progress` allows take the items one after the other; the calling one is among them and
@@ -35,30 +39,45 @@ pub fn spread<I: Send, R: Send>(
         }
         results
     };
+    let caller = thread::current();
+    let within = |fraction: f64| (done.load(Ordering::Relaxed) as f64 + fraction) / count as f64;
     let mut results = thread::scope(|scope| {
         let started: Vec<_> = (0..helpers)
             .map_while(|_| {
-                let job = || drain(&mut Progress::new(&mut |_, _| !is_stopped.load(Ordering::Relaxed)));
+                let job = || {
+                    let results = drain(&mut Progress::new(&mut |_, _| !is_stopped.load(Ordering::Relaxed)));
+                    caller.unpark();
+                    results
+                };
                 // With fewer threads than asked for it only takes longer.
                 thread::Builder::new().spawn_scoped(scope, job).ok()
             })
             .collect();
-        let within = |fraction: f64| (done.load(Ordering::Relaxed) as f64 + fraction) / count as f64;
-        let mut results = progress.nested(&within, &is_stopped, |progress| drain(progress));
-        for helper in started {
-            match helper.join() {
-                Ok(more) => results.extend(more),
-                Err(panic) => std::panic::resume_unwind(panic),
+        progress.nested(&within, &is_stopped, |progress| {
+            let mut results = drain(progress);
+            for helper in started {
+                while !helper.is_finished() {
+                    thread::park_timeout(PATIENCE);
+                    is_stopped.fetch_or(progress.check(0.0).is_err(), Ordering::Relaxed);
+                }
+                match helper.join() {
+                    Ok(more) => results.extend(more),
+                    Err(panic) => std::panic::resume_unwind(panic),
+                }
             }
-        }
-        results
+            results
+        })
     });
+    if is_stopped.load(Ordering::Relaxed) {
+        results.retain(|(_, result)| result.is_err());
+    }
     results.sort_unstable_by_key(|&(i, _)| i);
-    let done: Vec<R> = results.into_iter().map(|(_, result)| result).collect::<Result<_>>()?;
-    if done.len() < count {
+    let results: Vec<R> = results.into_iter().map(|(_, result)| result).collect::<Result<_>>()?;
+    progress.check(1.0)?;
+    if results.len() < count {
         return Err(Error::Cancelled);
     }
-    Ok(done)
+    Ok(results)
 }
 
 #[cfg(test)]
