@@ -4,14 +4,17 @@
 mod common;
 
 use common::{hash, method, terrain, unit};
-use criterion::{criterion_group, criterion_main, BatchSize, Criterion, Throughput};
+use criterion::{criterion_group, criterion_main, Criterion, Throughput};
+use dem2tin_core::facet::{Errors, Facet};
 use dem2tin_core::grid::{Grid, Height};
+use dem2tin_core::lanes::Vectors;
+use dem2tin_core::patch::{Patch, Window};
 use dem2tin_core::pipeline::triangulate;
 use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::progress::Progress;
 use dem2tin_core::queue::{Candidate, Queue};
 use dem2tin_core::refine::quantile_index;
-use dem2tin_core::scan::{collect, worst, Corners};
+use dem2tin_core::select::Selector;
 use std::hint::black_box;
 use std::time::Duration;
 
@@ -35,55 +38,45 @@ fn heights<T: Height>(grid: &Grid<T>, p: [Point; 3]) -> [f64; 3] {
     p.map(|q| q.as_pixel().map_or(f64::NAN, |(col, row)| grid.at(col, row)))
 }
 
-fn scan_of<T: Height>(c: &mut Criterion, kind: &str, z: &[T]) {
-    let grid = Grid::new(z, SIZE, SIZE).unwrap();
-    let mut errors = Vec::new();
-    for (name, n, side) in [("small", 4096, 10), ("large", 16, 200)] {
-        let triangles: Vec<_> = triangles(n, side).into_iter().map(|p| (p, heights(&grid, p))).collect();
-        let pixels: usize = triangles.iter().map(|&(p, z)| worst(&grid, p, z, Corners::Excluded).count).sum();
-        let mut group = c.benchmark_group(format!("scan/{name}/{kind}"));
-        group.throughput(Throughput::Elements(pixels as u64));
-        group.bench_function("worst", |b| {
-            b.iter(|| {
-                for &(p, z) in &triangles {
-                    black_box(worst(&grid, black_box(p), z, Corners::Excluded));
-                }
-            })
-        });
-        group.bench_function("collect", |b| {
-            b.iter(|| {
-                for &(p, z) in &triangles {
-                    black_box(collect(&grid, black_box(p), z, Corners::Excluded, &mut errors));
-                    black_box(&errors);
-                }
-            })
-        });
-    }
-}
+const VECTORS: [(&str, fn() -> Vectors); 2] = [("plain", || Vectors::Plain), ("best", Vectors::best)];
 
 fn scan(c: &mut Criterion) {
     let z = terrain(SIZE);
-    scan_of(c, "f32", &z);
-    scan_of(c, "f64", &z.iter().map(|&z| f64::from(z)).collect::<Vec<_>>());
+    let grid = Grid::new(&z, SIZE, SIZE).unwrap();
+    let patch = Patch::new(&grid, Window { col: 0, row: 0, cols: SIZE, rows: SIZE }).unwrap();
+    let mut errors = Errors::default();
+    for (name, n, side) in [("small", 4096, 10), ("large", 16, 200)] {
+        let triangles: Vec<_> = triangles(n, side).into_iter().map(|p| (p, heights(&grid, p))).collect();
+        let facets = || triangles.iter().map(|&(p, z)| Facet::new(&patch, black_box(p), z));
+        let mut group = c.benchmark_group(format!("scan/{name}"));
+        group.throughput(Throughput::Elements(facets().map(|facet| facet.pixels() as u64).sum()));
+        for (kind, vectors) in VECTORS {
+            let vectors = vectors();
+            group.bench_function(format!("worst/{kind}"), |b| {
+                b.iter(|| facets().map(|facet| facet.worst(&patch, vectors).place).sum::<usize>())
+            });
+            group.bench_function(format!("collect/{kind}"), |b| {
+                b.iter(|| {
+                    facets().map(|facet| facet.collect(&patch, vectors, &mut errors).place).sum::<usize>()
+                })
+            });
+        }
+    }
 }
 
-/// The median as `refine` finds it: the bits of the errors, selected as whole numbers; so many
-/// that no branch is learnt by heart.
+/// The median, of so many lists that no branch is learnt by heart.
 fn selection(c: &mut Criterion) {
     const ERRORS: u64 = 1 << 17;
+    let errors: Vec<f32> = (0..ERRORS).map(|i| 100.0 * unit(i) as f32).collect();
+    let mut selector = Selector::default();
     for n in [8, 32, 128, 1024, 16384] {
-        let errors: Vec<u64> = (0..ERRORS).map(|i| (100.0 * unit(i)).to_bits()).collect();
         let mut group = c.benchmark_group(format!("selection/{n}"));
         group.throughput(Throughput::Elements(ERRORS));
-        group.bench_function("select_nth_unstable", |b| {
-            let medians = |mut errors: Vec<u64>| {
-                for errors in errors.chunks_exact_mut(n) {
-                    black_box(*errors.select_nth_unstable(quantile_index(n, 0.5)).1);
-                }
-                errors
-            };
-            b.iter_batched(|| errors.clone(), medians, BatchSize::LargeInput)
-        });
+        for (kind, vectors) in VECTORS {
+            let vectors = vectors();
+            let mut median = |list: &[f32]| selector.nth(list, quantile_index(n, 0.5), vectors);
+            group.bench_function(kind, |b| b.iter(|| errors.chunks_exact(n).map(&mut median).sum::<f32>()));
+        }
     }
 }
 
@@ -114,7 +107,7 @@ fn predicates(c: &mut Criterion) {
 
 /// What a refinement asks of the queue: each candidate taken makes six triangles stale or
 /// new, each with a lower priority than the one taken.
-fn queue_mix(local: Option<u64>) -> usize {
+fn queue_mix(local: Option<u32>) -> usize {
     const TRIANGLES: u64 = 1 << 13;
     const STEPS: u64 = 1 << 12;
     const SIDE: u64 = 1 << 10;
@@ -122,7 +115,7 @@ fn queue_mix(local: Option<u64>) -> usize {
     let mut queue = Queue::new(local);
     let candidate = |i: u64, triangle: u32, version: u32, most: f64| {
         let priority = most * unit(2 * i).max(1e-9);
-        Candidate { priority, pixel: hash(2 * i + 1) % (SIDE * SIDE), triangle, version }
+        Candidate { priority, pixel: (hash(2 * i + 1) % (SIDE * SIDE)) as u32, triangle, version }
     };
     for i in 0..TRIANGLES {
         queue.push(candidate(i, i as u32, 0, 100.0));

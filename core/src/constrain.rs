@@ -16,7 +16,6 @@ pub struct Constrainer<'m> {
     labels: Labels,
     /// Height that each vertex has to keep; NaN where it is free.
     fixed: Vec<f64>,
-    touched: Vec<u32>,
 }
 
 /// What lies ahead of a vertex in the direction of another.
@@ -47,9 +46,7 @@ impl<'m> Constrainer<'m> {
     /// `fixed`: the height that each vertex has to keep, NaN where it is free.
     pub fn new(mesh: &'m mut Mesh, fixed: Vec<f64>) -> Self {
         let leaving = vec![NONE; mesh.points().len()];
-        let mut touched = Vec::new();
-        mesh.take_touched(&mut touched);
-        let mut made = Constrainer { mesh, leaving, labels: Labels::default(), fixed, touched };
+        let mut made = Constrainer { mesh, leaving, labels: Labels::default(), fixed };
         for t in 0..made.mesh.triangles().len() as u32 {
             made.note_leaving(t);
         }
@@ -69,7 +66,7 @@ impl<'m> Constrainer<'m> {
 
     /// The half-edge from `a` to `b`, if the mesh has that edge.
     pub fn find_edge(&self, a: u32, b: u32) -> Option<u32> {
-        let from_a = self.fan(a).find_map(|h| {
+        let from_a = self.mesh.fan(self.leaving[a as usize]).find_map(|h| {
             let along_last = prev(h);
             if self.mesh.dest(h) == b {
                 Some(h)
@@ -87,30 +84,6 @@ impl<'m> Constrainer<'m> {
         Some(if twin == NONE { from_a } else { twin })
     }
 
-    /// Half-edges leaving `v`, one a triangle around it.
-    fn fan(&self, v: u32) -> impl Iterator<Item = u32> + '_ {
-        let start = self.leaving[v as usize];
-        // Turn back to the border, if there is one, then forth.
-        let mut first = start;
-        loop {
-            let twin = self.mesh.twin(first);
-            if twin == NONE {
-                break;
-            }
-            first = next(twin);
-            if first == start {
-                break;
-            }
-        }
-        let mut at = Some(first);
-        std::iter::from_fn(move || {
-            let h = at?;
-            let turned = self.mesh.twin(prev(h));
-            at = (turned != NONE && turned != first).then_some(turned);
-            Some(h)
-        })
-    }
-
     fn ahead(&self, a: u32, b: u32) -> Option<Ahead> {
         let (pa, pb) = (self.mesh.point(a), self.mesh.point(b));
         let forward = |v: u32| {
@@ -118,7 +91,7 @@ impl<'m> Constrainer<'m> {
             i64::from(p.x - pa.x) * i64::from(pb.x - pa.x) + i64::from(p.y - pa.y) * i64::from(pb.y - pa.y)
                 > 0
         };
-        self.fan(a).find_map(|h| {
+        self.mesh.fan(self.leaving[a as usize]).find_map(|h| {
             let (r, l) = (self.mesh.dest(h), self.mesh.apex(h));
             let (right, left) = (orient2d(pa, pb, self.mesh.point(r)), orient2d(pa, pb, self.mesh.point(l)));
             if right == 0 && forward(r) {
@@ -328,10 +301,9 @@ impl<'m> Constrainer<'m> {
         let v = self.mesh.insert_at(p, place);
         self.leaving.push(NONE);
         self.fixed.push(f64::NAN);
-        let mut touched = std::mem::take(&mut self.touched);
-        self.mesh.take_touched(&mut touched);
-        touched.iter().for_each(|&t| self.note_leaving(t));
-        self.touched = touched;
+        let around: Vec<u32> =
+            self.mesh.fan(self.mesh.leaving(place.triangle(), v)).map(triangle_of).collect();
+        around.into_iter().for_each(|t| self.note_leaving(t));
         self.fix(v, heights);
         if let Some((a, b)) = split {
             if let Some(label) = self.labels.remove(a, b) {

@@ -12,7 +12,7 @@ use crate::order::insertion_order;
 use crate::outline::{outline, Shape};
 use crate::predicate::{Metric, Point, UNIT};
 use crate::progress::Progress;
-use crate::scan::{for_each_pixel, Corners};
+use crate::scan::for_each_pixel;
 use crate::surface::Surface;
 use std::collections::HashMap;
 
@@ -324,7 +324,7 @@ fn level<T: Height>(
 fn median_height<T: Height>(mesh: &Mesh, grid: &Grid<T>, triangles: &[u32]) -> f64 {
     let mut pixels = Vec::new();
     for &t in triangles {
-        for_each_pixel(grid, mesh.corners(t), [0.0; 3], Corners::Included, |col, row, z, _| {
+        for_each_pixel(grid, mesh.corners(t), [0.0; 3], |col, row, z, _| {
             pixels.push(((row, col), z));
         });
     }

@@ -6,7 +6,7 @@ use crate::memory;
 use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
 use crate::predicate::Point;
 use crate::progress::Progress;
-use crate::scan::{for_each_pixel, Corners};
+use crate::scan::for_each_pixel;
 use crate::surface::Surface;
 
 /// Conjugate gradients stop when the residual has fallen by this factor.
@@ -72,7 +72,7 @@ impl<'m> Normal<'m> {
             let hats = Hats::over(p);
             let mut work = 16;
             let (mut block, mut loads) = ([0.0; 6], [[0.0; 3]; K]);
-            for_each_pixel(grid, p, v.map(|v| z[v]), Corners::Included, |col, row, height, plane| {
+            for_each_pixel(grid, p, v.map(|v| z[v]), |col, row, height, plane| {
                 work += 4;
                 let pixel = row * grid.cols() + col;
                 if !seen.insert(pixel) {
@@ -254,7 +254,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 /// Sum of squared differences between a plane and the pixels of the closed triangle.
 fn squared_error<T: Height>(target: &Grid<T>, p: [Point; 3], z: [f64; 3]) -> (f64, usize) {
     let (mut sum, mut count) = (0.0, 0);
-    for_each_pixel(target, p, z, Corners::Included, |_, _, height, plane| {
+    for_each_pixel(target, p, z, |_, _, height, plane| {
         sum += (height - plane) * (height - plane);
         count += 1;
     });

@@ -6,7 +6,7 @@ use crate::grid::{Grid, Height};
 use crate::memory;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use crate::scan::{for_each_pixel, for_each_plane_row, Corners};
+use crate::scan::{for_each_pixel, for_each_plane_row};
 
 /// Error statistics over the valid pixels that the mesh covers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -32,7 +32,7 @@ pub fn count_covered<T: Height>(mesh: &Mesh, grid: &Grid<T>, progress: &mut Prog
     let mut count = 0;
     for t in (0..mesh.triangles().len() as u32).filter(|&t| !mesh.triangle(t).is_void()) {
         let mut work = 16;
-        for_each_pixel(grid, mesh.corners(t), [0.0; 3], Corners::Included, |col, row, _, _| {
+        for_each_pixel(grid, mesh.corners(t), [0.0; 3], |col, row, _, _| {
             count += usize::from(seen.insert(row * grid.cols() + col));
             work += 1;
         });
@@ -95,7 +95,7 @@ pub fn errors<T: Height>(
         let worst = &mut largest[t as usize];
         let (p, heights) = (mesh.corners(t), triangle.v.map(|v| z[v as usize]));
         let mut work = 16;
-        for_each_pixel(grid, p, heights, Corners::Included, |col, row, height, plane| {
+        for_each_pixel(grid, p, heights, |col, row, height, plane| {
             let error = plane - height;
             *worst = worst.max(error.abs());
             work += 1;

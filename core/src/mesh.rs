@@ -14,8 +14,6 @@ pub struct Mesh {
     metric: Metric,
     /// Edges still to be looked at by [`Mesh::legalise`].
     pending: Vec<u32>,
-    /// Triangles changed since [`Mesh::take_touched`].
-    touched: Vec<u32>,
 }
 
 impl Mesh {
@@ -29,7 +27,6 @@ impl Mesh {
             triangles: vec![Triangle::new([0, 1, 2], 0), Triangle::new([0, 2, 3], 0)],
             metric,
             pending: Vec::new(),
-            touched: vec![0, 1],
         };
         mesh.link(half_edge(0, 2), half_edge(1, 0));
         mesh.pending.push(half_edge(0, 2));
@@ -125,17 +122,33 @@ impl Mesh {
         self.triangles[t as usize].set_class(class);
     }
 
-    /// Triangles changed since the last call, each once, ascending; their
-    /// versions have been counted up.
-    pub fn take_touched(&mut self, into: &mut Vec<u32>) {
-        into.clear();
-        into.append(&mut self.touched);
-        into.sort_unstable();
-        into.dedup();
-        for &t in into.iter() {
-            let version = &mut self.triangles[t as usize].version;
-            *version = version.wrapping_add(1);
+    /// The half-edge of triangle `t` that leaves its corner `v`.
+    pub fn leaving(&self, t: u32, v: u32) -> u32 {
+        let corners = self.triangle(t).v;
+        half_edge(t, if corners[0] == v { 0 } else { 2 - u32::from(corners[1] == v) })
+    }
+
+    /// The half-edges that leave the origin of `start`, one a triangle around it.
+    pub fn fan(&self, start: u32) -> impl Iterator<Item = u32> + '_ {
+        // Turn back to the border, if there is one, then forth.
+        let mut first = start;
+        loop {
+            let twin = self.twin(first);
+            if twin == NONE {
+                break;
+            }
+            first = next(twin);
+            if first == start {
+                break;
+            }
         }
+        let mut at = Some(first);
+        std::iter::from_fn(move || {
+            let h = at?;
+            let turned = self.twin(prev(h));
+            at = (turned != NONE && turned != first).then_some(turned);
+            Some(h)
+        })
     }
 
     /// Inserts `p` anywhere in the rectangle, walking from triangle `start`, and restores
@@ -145,7 +158,8 @@ impl Mesh {
         self.insert_at(p, place)
     }
 
-    /// Inserts `p`, whose place has been found.
+    /// Inserts `p`, whose place has been found. All triangles that change are those around
+    /// the vertex, among them the one that `place` names.
     pub fn insert_at(&mut self, p: Point, place: Location) -> u32 {
         let vertex = self.points.len() as u32;
         match place {
@@ -162,7 +176,6 @@ impl Mesh {
     pub(crate) fn replace(&mut self, points: Vec<Point>, triangles: Vec<Triangle>) {
         self.points = points;
         self.triangles = triangles;
-        self.touched.clear();
     }
 
     fn link(&mut self, a: u32, b: u32) {
@@ -195,6 +208,7 @@ impl Mesh {
         let triangle = &mut self.triangles[t as usize];
         triangle.v = v;
         triangle.flags &= CLASS;
+        triangle.version = triangle.version.wrapping_add(1);
     }
 
     /// Triangle (a, b, c) becomes (a, b, p), (b, c, p), (c, a, p).
@@ -208,7 +222,6 @@ impl Mesh {
         for (new, outer) in [t, t1, t2].into_iter().zip(outer) {
             self.attach(half_edge(new, 0), outer);
             self.pending.push(half_edge(new, 0));
-            self.touched.push(new);
         }
         self.link(half_edge(t, 1), half_edge(t1, 2));
         self.link(half_edge(t1, 1), half_edge(t2, 2));
@@ -228,7 +241,6 @@ impl Mesh {
         for (new, outer) in [(t, ca), (t1, bc)] {
             self.attach(half_edge(new, 0), outer);
             self.pending.push(half_edge(new, 0));
-            self.touched.push(new);
         }
         self.link(half_edge(t, 2), half_edge(t1, 1));
         let halves = (half_edge(t, 1), half_edge(t1, 2));
@@ -299,8 +311,6 @@ impl Mesh {
         self.attach(half_edge(u, 1), db);
         self.attach(half_edge(u, 2), bc);
         self.link(half_edge(t, 2), half_edge(u, 0));
-        self.touched.push(t);
-        self.touched.push(u);
     }
 
     /// Whether the quadrilateral around interior edge `h` is strictly convex.

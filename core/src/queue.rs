@@ -9,8 +9,8 @@ use std::collections::BinaryHeap;
 #[derive(Clone, Copy, Debug)]
 pub struct Candidate {
     pub priority: f64,
-    /// `row * cols + col`.
-    pub pixel: u64,
+    /// Number of the pixel, in raster order.
+    pub pixel: u32,
     pub triangle: u32,
     /// Version of the triangle the candidate was found for.
     pub version: u32,
@@ -63,8 +63,8 @@ pub struct Queue {
     lowest: Option<usize>,
     /// The open bucket; entries at or above it do not wait.
     level: usize,
-    /// Columns of the raster, for the curve; `None` in an exact queue.
-    local: Option<u64>,
+    /// Pixel numbers from one row to the next, for the curve; `None` in an exact queue.
+    local: Option<u32>,
 }
 
 /// A local queue gets exact when a bucket holds more than this share of the points
@@ -72,8 +72,8 @@ pub struct Queue {
 const LAST_SHARE: usize = 4;
 
 impl Queue {
-    /// A queue over pixels of a raster with `cols` columns if it is to be local.
-    pub fn new(local: Option<u64>) -> Self {
+    /// `local`: pixel numbers from one row to the next if the queue is to be local.
+    pub fn new(local: Option<u32>) -> Self {
         let waiting = vec![Vec::new(); BUCKETS];
         Queue { open: BinaryHeap::new(), batch: Vec::new(), waiting, lowest: None, level: BUCKETS, local }
     }
@@ -106,10 +106,10 @@ impl Queue {
             let mut bucket = std::mem::take(&mut self.waiting[self.level]);
             bucket.retain(&is_current);
             match self.local {
-                Some(cols) if bucket.len() < remaining / LAST_SHARE => {
-                    bucket.sort_by_cached_key(|c| {
-                        (Reverse(curve_position(c.pixel % cols, c.pixel / cols)), c.triangle)
-                    });
+                Some(stride) if bucket.len() < remaining / LAST_SHARE => {
+                    let position =
+                        |pixel| curve_position(u64::from(pixel % stride), u64::from(pixel / stride));
+                    bucket.sort_by_cached_key(|c| (Reverse(position(c.pixel)), c.triangle));
                     self.batch = bucket;
                 }
                 _ => {
@@ -128,7 +128,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn pops_in_total_order_and_skips_the_stale(errors in prop::collection::vec((0u8..5, 0u64..9, 0u32..4, 0u32..2), 0..60)) {
+        fn pops_in_total_order_and_skips_the_stale(errors in prop::collection::vec((0u8..5, 0u32..9, 0u32..4, 0u32..2), 0..60)) {
             let mut queue = Queue::new(None);
             let mut expected = Vec::new();
             for (priority, pixel, triangle, version) in errors {
@@ -145,7 +145,7 @@ mod tests {
         fn a_local_queue_pops_each_once_and_falls_by_buckets(priorities in prop::collection::vec(0.0f64..100.0, 0..200)) {
             let mut queue = Queue::new(Some(10));
             for (i, &priority) in (0..).zip(&priorities) {
-                queue.push(Candidate { priority, pixel: u64::from(i), triangle: i, version: 0 });
+                queue.push(Candidate { priority, pixel: i, triangle: i, version: 0 });
             }
             let popped: Vec<_> = std::iter::from_fn(|| queue.pop(usize::MAX, |_| true)).collect();
             for pair in popped.windows(2) {

@@ -7,14 +7,17 @@
 //! is (1, 0, 1).
 
 use crate::error::Result;
+use crate::facet::{Errors, Facet};
 use crate::grid::{Grid, Height};
+use crate::lanes::Vectors;
 use crate::memory;
-use crate::mesh::Class;
+use crate::mesh::{triangle_of, Class};
 use crate::order::insertion_order;
+use crate::patch::{Patch, Window};
 use crate::predicate::Point;
 use crate::progress::Progress;
 use crate::queue::{Candidate, Queue};
-use crate::scan::{collect, for_each_pixel, warm, worst, Corners};
+use crate::select::Selector;
 use crate::surface::Surface;
 
 /// How triangles are ranked, what is inserted and when to stop.
@@ -47,9 +50,13 @@ pub enum Stop {
     Outline,
 }
 
-/// Rasters up to this size are refined in the exact order of the priorities; larger
+/// Patches up to this size are refined in the exact order of the priorities; larger
 /// ones no longer fit the cache and use a local queue.
 const EXACT_PIXELS: usize = 1 << 20;
+
+/// An error found in single precision says which pixel is the worst if it is this many
+/// times the rounding.
+const CLEAR: f64 = 16.0;
 
 /// Where the worst pixel is what gets inserted, this share of its error counts beside
 /// the quantile: a triangle that fits but for one pixel does not wait forever, and
@@ -67,17 +74,39 @@ pub fn quantile_index(n: usize, q: f64) -> usize {
 /// A surface being refined over changing images.
 pub struct Refiner {
     pub surface: Surface,
+    vectors: Vectors,
     queue: Queue,
-    /// Scratch: the bits of a triangle's errors.
-    errors: Vec<u64>,
-    touched: Vec<u32>,
+    /// Scratch of the scans.
+    errors: Errors,
+    selector: Selector,
+    around: Vec<u32>,
     scaffolding: usize,
+}
+
+/// Where a triangle stands against the rule.
+struct Ranked {
+    priority: f64,
+    /// Of the pixel to insert, in the patch.
+    place: usize,
 }
 
 impl Refiner {
     pub fn new(surface: Surface) -> Self {
+        Refiner::with_vectors(surface, Vectors::best())
+    }
+
+    /// The same result, whatever the vectors.
+    pub fn with_vectors(surface: Surface, vectors: Vectors) -> Self {
         let scaffolding = surface.count_scaffolding();
-        Refiner { surface, queue: Queue::new(None), errors: Vec::new(), touched: Vec::new(), scaffolding }
+        Refiner {
+            surface,
+            vectors,
+            queue: Queue::new(None),
+            errors: Errors::default(),
+            selector: Selector::default(),
+            around: Vec::new(),
+            scaffolding,
+        }
     }
 
     /// Number of vertices that carry a height.
@@ -92,7 +121,7 @@ impl Refiner {
             let mesh = &self.surface.mesh;
             let place = mesh.locate(points[i], mesh.triangles().len() as u32 - 1);
             if mesh.is_in_data(place) {
-                self.surface.insert_pixel(pixels[i], place, grid);
+                self.surface.insert_pixel(pixels[i], place, grid.interpolate(points[i]));
             }
         }
     }
@@ -106,13 +135,39 @@ impl Refiner {
         max_points: usize,
         progress: &mut Progress,
     ) -> Result<Stop> {
-        let is_large = grid.rows() * grid.cols() > EXACT_PIXELS;
-        self.queue = Queue::new(is_large.then_some(grid.cols() as u64));
-        self.surface.mesh.take_touched(&mut self.touched);
+        let window = Window { col: 0, row: 0, cols: grid.cols(), rows: grid.rows() };
+        let mut patch = Patch::new(grid, window)?;
+        self.start(grid, &mut patch, rule, progress)?;
+        self.refine(grid, &mut patch, rule, max_points, progress)
+    }
+
+    /// Queues all triangles, which lie in the patch.
+    pub fn start<T: Height>(
+        &mut self,
+        grid: &Grid<T>,
+        patch: &mut Patch,
+        rule: &Rule,
+        progress: &mut Progress,
+    ) -> Result<()> {
+        let is_large = patch.z().len() > EXACT_PIXELS;
+        self.queue = Queue::new(is_large.then_some(patch.stride() as u32));
+        self.surface.mesh.points().iter().for_each(|&p| patch.exclude(p));
         for t in 0..self.surface.mesh.triangles().len() as u32 {
-            let work = self.enqueue(grid, rule, t);
+            let work = self.enqueue(grid, patch, rule, t);
             progress.poll(work, || 0.0)?;
         }
+        Ok(())
+    }
+
+    /// Inserts what is queued, most urgent first.
+    pub fn refine<T: Height>(
+        &mut self,
+        grid: &Grid<T>,
+        patch: &mut Patch,
+        rule: &Rule,
+        max_points: usize,
+        progress: &mut Progress,
+    ) -> Result<Stop> {
         let (start, mut first_priority) = (self.count(), None);
         // Vertices there is memory for, with their triangles and candidates.
         let mut room = 0;
@@ -126,16 +181,7 @@ impl Refiner {
             let Some(best) = self.queue.pop(max_points - self.count(), is_current) else {
                 return Ok(Stop::Tolerance);
             };
-            let cols = grid.cols() as u64;
-            let (col, row) = ((best.pixel % cols) as usize, (best.pixel / cols) as usize);
-            let place = mesh.place_in(Point::pixel(col, row), best.triangle);
-            self.surface.insert_pixel((col, row), place, grid);
-            self.surface.mesh.take_touched(&mut self.touched);
-            warm(grid, self.touched.iter().flat_map(|&t| self.surface.mesh.corners(t)));
-            let mut work = 64;
-            for i in 0..self.touched.len() {
-                work += self.enqueue(grid, rule, self.touched[i]);
-            }
+            let work = self.insert_candidate(grid, patch, rule, &best);
             let first = *first_priority.get_or_insert(best.priority);
             let (count, tolerance) = (self.count(), rule.tolerance);
             progress.poll(work, || {
@@ -147,61 +193,170 @@ impl Refiner {
         Ok(Stop::Points)
     }
 
+    /// Inserts the pixel and queues the triangles around it. Returns the work done in pixels.
+    fn insert_candidate<T: Height>(
+        &mut self,
+        grid: &Grid<T>,
+        patch: &mut Patch,
+        rule: &Rule,
+        best: &Candidate,
+    ) -> usize {
+        let pixel = patch.pixel(best.pixel as usize);
+        let p = Point::pixel(pixel.0, pixel.1);
+        let place = self.surface.mesh.place_in(p, best.triangle);
+        let v = self.surface.insert_pixel(pixel, place, patch.height(best.pixel as usize, grid));
+        patch.exclude(p);
+        let mesh = &self.surface.mesh;
+        let mut around = std::mem::take(&mut self.around);
+        around.clear();
+        around.extend(mesh.fan(mesh.leaving(place.triangle(), v)).map(triangle_of));
+        let work: usize = around.iter().map(|&t| self.enqueue(grid, patch, rule, t)).sum();
+        self.around = around;
+        64 + work
+    }
+
     /// Scans triangle `t` and queues its candidate unless it is within the
     /// tolerance. Returns the work done in pixels.
-    fn enqueue<T: Height>(&mut self, grid: &Grid<T>, rule: &Rule, t: u32) -> usize {
+    #[inline]
+    fn enqueue<T: Height>(&mut self, grid: &Grid<T>, patch: &Patch, rule: &Rule, t: u32) -> usize {
         let triangle = self.surface.mesh.triangle(t);
         if triangle.class() != Class::Data {
             return 0;
         }
         let version = triangle.version;
         let (p, z) = (self.surface.mesh.corners(t), self.surface.heights(t));
-        let is_max = rule.priority == 1.0 && rule.candidate == 1.0 && rule.bound == 1.0;
-        let worst = if is_max {
-            worst(grid, p, z, Corners::Excluded)
+        let facet = Facet::new(patch, p, z);
+        let is_max = rule.priority == 1.0 && rule.candidate == 1.0 && rule.bound == 1.0 && rule.weight == 0.0;
+        let (ranked, work) = if is_max {
+            (self.rank_by_worst(grid, patch, rule, &facet), 1)
         } else {
-            collect(grid, p, z, Corners::Excluded, &mut self.errors)
+            (self.rank(grid, patch, rule, &facet), 4)
         };
-        let work = worst.count * if is_max { 1 } else { 4 };
+        if let Some(Ranked { priority, place }) = ranked {
+            self.queue.push(Candidate { priority, pixel: place as u32, triangle: t, version });
+        }
+        work * facet.pixels()
+    }
+
+    /// Garland and Heckbert's rule: the worst pixel, nothing else.
+    #[inline]
+    fn rank_by_worst<T: Height>(
+        &mut self,
+        grid: &Grid<T>,
+        patch: &Patch,
+        rule: &Rule,
+        facet: &Facet,
+    ) -> Option<Ranked> {
+        let found = facet.worst(patch, self.vectors);
+        let (priority, place) = match verdict(patch, facet, found.error, rule.tolerance) {
+            Verdict::Within => return None,
+            Verdict::Beyond => (facet.error(patch, grid, found.place), found.place),
+            Verdict::Unclear => {
+                let found =
+                    facet.exact(patch, grid).into_iter().reduce(|a, b| if b.0 > a.0 { b } else { a })?;
+                if found.0 <= rule.tolerance {
+                    return None;
+                }
+                found
+            }
+        };
+        Some(Ranked { priority, place })
+    }
+
+    fn rank<T: Height>(
+        &mut self,
+        grid: &Grid<T>,
+        patch: &Patch,
+        rule: &Rule,
+        facet: &Facet,
+    ) -> Option<Ranked> {
+        let worst = facet.collect(patch, self.vectors, &mut self.errors);
         // The maximum bounds every quantile; what fits exactly needs no point.
-        if worst.error <= rule.tolerance {
-            return work;
-        }
-        let (mut priority, mut col, mut row) = (worst.error, worst.col, worst.row);
-        if !is_max {
-            if rule.tolerance > 0.0 && select(&mut self.errors, rule.bound) <= rule.tolerance {
-                return work;
-            }
-            if rule.candidate < 1.0 {
-                let at = select(&mut self.errors, rule.candidate);
-                let mut found = false;
-                for_each_pixel(grid, p, z, Corners::Excluded, |c, r, z, plane| {
-                    if !found && (z - plane).abs() == at {
-                        (col, row, found) = (c, r, true);
-                    }
-                });
-            }
-            priority = select(&mut self.errors, rule.priority);
-        }
-        if rule.candidate == 1.0 && rule.priority < 1.0 {
-            priority += WORST_SHARE * worst.error;
-        }
-        priority *= match rule.weight {
-            0.0 => 1.0,
-            0.5 => (worst.count as f64).sqrt(),
-            weight => (worst.count as f64).powf(weight),
+        let is_exact = match verdict(patch, facet, worst.error, rule.tolerance) {
+            Verdict::Within => return None,
+            Verdict::Beyond => false,
+            Verdict::Unclear => true,
         };
-        let pixel = row as u64 * grid.cols() as u64 + col as u64;
-        self.queue.push(Candidate { priority, pixel, triangle: t, version });
-        work
+        if is_exact {
+            return rank_exactly(facet.exact(patch, grid), rule);
+        }
+        let count = self.errors.values().len();
+        let mut known = (1.0, worst.error);
+        let mut quantile = |q: f64| {
+            if q != known.0 {
+                known = (q, self.selector.nth(self.errors.values(), quantile_index(count, q), self.vectors));
+            }
+            known.1
+        };
+        if rule.tolerance > 0.0 {
+            let bounded = quantile(rule.bound);
+            match verdict(patch, facet, bounded, rule.tolerance) {
+                Verdict::Within => return None,
+                Verdict::Beyond => {}
+                Verdict::Unclear => return rank_exactly(facet.exact(patch, grid), rule),
+            }
+        }
+        let at = quantile(rule.candidate);
+        let ranked = quantile(rule.priority);
+        let place = if rule.candidate == 1.0 {
+            worst.place
+        } else {
+            self.errors
+                .values()
+                .iter()
+                .position(|&e| e == at)
+                .map_or(worst.place, |i| self.errors.places()[i] as usize)
+        };
+        let mut priority = f64::from(ranked);
+        if rule.candidate == 1.0 && rule.priority < 1.0 {
+            priority += WORST_SHARE * f64::from(worst.error);
+        }
+        Some(Ranked { priority: priority * weight(rule, count), place })
     }
 }
 
-/// The quantile `q` of the errors whose bits these are; reorders them.
-fn select(errors: &mut [u64], q: f64) -> f64 {
-    let index = quantile_index(errors.len(), q);
-    if index + 1 == errors.len() {
-        return f64::from_bits(errors.iter().fold(0, |a, &b| a.max(b)));
+/// What an error in single precision says about the tolerance.
+enum Verdict {
+    Within,
+    Beyond,
+    Unclear,
+}
+
+#[inline]
+fn verdict(patch: &Patch, facet: &Facet, error: f32, tolerance: f64) -> Verdict {
+    let rounding = facet.rounding(error);
+    let error = f64::from(error);
+    if error + rounding <= tolerance || error < 0.0 || (error == 0.0 && patch.is_exact() && facet.is_exact())
+    {
+        Verdict::Within
+    } else if error > tolerance + rounding && error > CLEAR * rounding {
+        Verdict::Beyond
+    } else {
+        Verdict::Unclear
     }
-    f64::from_bits(*errors.select_nth_unstable(index).1)
+}
+
+/// The rule on errors in double precision and their places.
+fn rank_exactly(errors: Vec<(f64, usize)>, rule: &Rule) -> Option<Ranked> {
+    let mut sorted = errors;
+    // Stable: of equal errors the first pixel comes first.
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let count = sorted.len();
+    let quantile = |q: f64| sorted[quantile_index(count, q)].0;
+    let worst = sorted.last()?.0;
+    if worst <= rule.tolerance || quantile(rule.bound) <= rule.tolerance && rule.tolerance > 0.0 {
+        return None;
+    }
+    let at = quantile(rule.candidate);
+    let place = sorted.iter().find(|e| e.0 == at)?.1;
+    let share = if rule.candidate == 1.0 && rule.priority < 1.0 { WORST_SHARE * worst } else { 0.0 };
+    Some(Ranked { priority: (quantile(rule.priority) + share) * weight(rule, count), place })
+}
+
+fn weight(rule: &Rule, count: usize) -> f64 {
+    match rule.weight {
+        0.0 => 1.0,
+        0.5 => (count as f64).sqrt(),
+        weight => (count as f64).powf(weight),
+    }
 }

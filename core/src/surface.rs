@@ -53,9 +53,9 @@ impl Surface {
         self.mesh.triangle(t).v.map(|v| self.z[v as usize])
     }
 
-    /// Inserts a pixel whose place has been found; a vertex on a hard edge gets the
-    /// height of the edge, any other that of `grid`.
-    pub fn insert_pixel<T: Height>(&mut self, (col, row): (usize, usize), place: Location, grid: &Grid<T>) {
+    /// Inserts a pixel of height `z`, whose place has been found; on a hard edge the vertex
+    /// gets the height of the edge instead. Returns the vertex.
+    pub fn insert_pixel(&mut self, (col, row): (usize, usize), place: Location, z: f64) -> u32 {
         let p = Point::pixel(col, row);
         let along = match place {
             Location::Edge(h) if self.mesh.is_hard(h) => {
@@ -65,12 +65,12 @@ impl Surface {
             }
             _ => None,
         };
-        let v = self.mesh.insert_at(p, place) as usize;
-        if v == self.z.len() {
-            let z = grid.at(col, row);
-            self.z.push(along.unwrap_or_else(|| if z.is_nan() { grid.interpolate(p) } else { z }));
+        let v = self.mesh.insert_at(p, place);
+        if v as usize == self.z.len() {
+            self.z.push(along.unwrap_or(z));
             self.is_fixed.push(along.is_some());
         }
+        v
     }
 }
 

@@ -86,6 +86,17 @@ pub enum Location {
     Vertex(u32),
 }
 
+impl Location {
+    /// A triangle that holds the point; [`NONE`] at a vertex.
+    pub fn triangle(self) -> u32 {
+        match self {
+            Location::Face(t) => t,
+            Location::Edge(h) => triangle_of(h),
+            Location::Vertex(_) => NONE,
+        }
+    }
+}
+
 #[inline]
 pub fn next(h: u32) -> u32 {
     if h & 3 == 2 {

@@ -120,18 +120,21 @@ proptest! {
     }
 
     #[test]
-    fn touched_names_every_triangle_that_changed(n in 1usize..30, seed: u64) {
+    fn what_an_insertion_changes_lies_around_the_vertex(n in 1usize..30, seed: u64) {
         let mut mesh = Mesh::rectangle(9, 9, Metric::SQUARE);
-        let mut touched = Vec::new();
-        mesh.take_touched(&mut touched);
         for p in points_in(9, 9, UNIT, n, seed) {
-            let before: Vec<_> = mesh.triangles().iter().map(|t| t.v).collect();
-            insert(&mut mesh, p);
-            mesh.take_touched(&mut touched);
-            for (t, triangle) in mesh.triangles().iter().enumerate() {
-                if before.get(t) != Some(&triangle.v) {
-                    prop_assert!(touched.binary_search(&(t as u32)).is_ok());
-                }
+            let before: Vec<_> = mesh.triangles().iter().map(|t| (t.v, t.version)).collect();
+            let place = mesh.locate(p, 0);
+            let v = mesh.insert_at(p, place);
+            if v as usize + 1 < mesh.points().len() || before.len() == mesh.triangles().len() { continue; }
+            let start = mesh.leaving(place.triangle(), v);
+            prop_assert_eq!(mesh.origin(start), v);
+            let mut around: Vec<_> = mesh.fan(start).map(dem2tin_core::mesh::triangle_of).collect();
+            around.sort_unstable();
+            let changed: Vec<_> = (0u32..).zip(mesh.triangles()).filter(|&(t, triangle)| before.get(t as usize).is_none_or(|b| b.0 != triangle.v)).collect();
+            prop_assert_eq!(&around, &changed.iter().map(|c| c.0).collect::<Vec<_>>());
+            for (t, triangle) in changed {
+                prop_assert!(before.get(t as usize).is_none_or(|b| b.1 != triangle.version));
             }
         }
     }
