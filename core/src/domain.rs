@@ -14,6 +14,7 @@ use crate::predicate::{Metric, Point, UNIT};
 use crate::progress::Progress;
 use crate::scan::for_each_pixel;
 use crate::surface::Surface;
+use crate::tiling::Tiling;
 use std::collections::HashMap;
 
 /// Rings of vertices, the first one around all others.
@@ -103,6 +104,13 @@ impl Plan {
         }
     }
 
+    fn seam(&mut self, seam: &[Point]) {
+        for pair in seam.windows(2) {
+            let [a, b] = [0, 1].map(|i| self.point(pair[i], f64::NAN));
+            self.segment(a, b, Label { is_seam: true, ..Label::default() });
+        }
+    }
+
     fn polygon(&mut self, polygon: &[Vec<Vertex>], region: u32) {
         for (i, ring) in polygon.iter().enumerate() {
             let mut ring = crop_ring(ring, self.right, self.bottom);
@@ -135,6 +143,7 @@ pub fn domain<T: Height>(
     metric: Metric,
     shape: &Shape,
     constraints: &Constraints,
+    tiling: &Tiling,
     progress: &mut Progress,
 ) -> Result<Surface> {
     let mut plan = Plan {
@@ -160,6 +169,10 @@ pub fn domain<T: Height>(
     for line in &constraints.lines {
         plan.line(line);
         progress.poll(8 * line.len(), || 1.0)?;
+    }
+    // Last, so that it is the seams that bend where they pass close to a vertex.
+    for seam in tiling.seams() {
+        plan.seam(&seam);
     }
     let (mut mesh, labels, mut fixed) = build(grid, metric, plan, progress)?;
     let regions = regions(&mesh, &labels);
@@ -274,22 +287,27 @@ fn classify(mesh: &mut Mesh, regions: &Regions, has_clip: bool) -> Result<Vec<us
     Ok(regions.of.iter().map(|&region| kinds[region].1).collect())
 }
 
-/// Releases the borders of regions where both sides have become the same.
+/// Releases the borders of regions where both sides have become the same; what parts tiles
+/// alone stays as a seam.
 fn settle(mesh: &mut Mesh, labels: &Labels, level_area: &[usize]) {
     for h in (0..mesh.triangles().len() as u32).flat_map(|t| [0, 1, 2].map(|k| half_edge(t, k))) {
         let twin = mesh.twin(h);
         if twin < h || !mesh.is_constrained(h) {
             continue;
         }
-        let is_line = labels.get(mesh.origin(h), mesh.dest(h)).is_some_and(|label| label.is_line);
+        let label = labels.get(mesh.origin(h), mesh.dest(h)).unwrap_or_default();
         let kind = |h: u32| {
             let t = triangle_of(h);
             (h != NONE).then(|| (mesh.triangle(t).class(), level_area[t as usize]))
         };
         let (here, there) = (kind(h), kind(twin));
         let is_void = [here, there].iter().flatten().all(|k| k.0 == Class::Void);
-        if is_void || here == there && !is_line {
-            mesh.release(h);
+        if is_void || here == there && !label.is_line {
+            if label.is_seam {
+                mesh.mark_seam(h);
+            } else {
+                mesh.release(h);
+            }
         }
     }
 }

@@ -15,6 +15,8 @@ pub struct Label {
     pub is_line: bool,
     /// The surface runs straight between its ends, which have fixed heights.
     pub is_hard: bool,
+    /// Parts two tiles.
+    pub is_seam: bool,
 }
 
 impl Label {
@@ -41,6 +43,7 @@ impl Label {
         }
         self.is_line |= other.is_line;
         self.is_hard |= other.is_hard;
+        self.is_seam |= other.is_seam;
     }
 }
 

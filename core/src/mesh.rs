@@ -5,7 +5,7 @@
 
 use crate::predicate::{orient2d, Metric, Point};
 pub use crate::triangle::{half_edge, next, prev, triangle_of, Class, Triangle, NONE};
-use crate::triangle::{Location, CLASS, CONSTRAINED, EDGE};
+use crate::triangle::{Location, CLASS, CONSTRAINED, EDGE, HARD, SEAM};
 
 #[derive(Clone)]
 pub struct Mesh {
@@ -98,7 +98,12 @@ impl Mesh {
 
     /// As [`Mesh::constrain`], and fixes the surface along the edge.
     pub fn harden(&mut self, h: u32) {
-        self.mark(h, EDGE);
+        self.mark(h, CONSTRAINED | HARD);
+    }
+
+    /// Makes a seam of the constrained edge.
+    pub fn mark_seam(&mut self, h: u32) {
+        self.mark(h, SEAM);
     }
 
     /// Makes the edge an ordinary one.
@@ -269,17 +274,39 @@ impl Mesh {
         self.metric.in_circle(a, b, c, self.point(self.apex(twin)))
     }
 
+    /// All half-edges.
+    pub fn half_edges(&self) -> impl Iterator<Item = u32> {
+        (0..self.triangles.len() as u32).flat_map(|t| [0, 1, 2].map(|k| half_edge(t, k)))
+    }
+
     /// Flips until every edge that is not constrained is Delaunay.
     pub fn make_delaunay(&mut self) {
-        let mut open: Vec<u32> =
-            (0..self.triangles.len() as u32).flat_map(|t| [0, 1, 2].map(|k| half_edge(t, k))).collect();
+        self.make_delaunay_from(self.half_edges().collect());
+    }
+
+    /// The same where only these edges may be none; returns the triangles changed, ascending.
+    pub fn make_delaunay_from(&mut self, mut open: Vec<u32>) -> Vec<u32> {
+        let mut changed = Vec::new();
         while let Some(h) = open.pop() {
             if self.is_illegal(h) {
                 let pair = [triangle_of(h), triangle_of(self.twin(h))];
                 self.flip(h);
+                changed.extend(pair);
                 open.extend(pair.into_iter().flat_map(|t| [0, 1, 2].map(|k| half_edge(t, k))));
             }
         }
+        changed.sort_unstable();
+        changed.dedup();
+        changed
+    }
+
+    /// A mesh of triangles whose twins are right.
+    pub(crate) fn of_parts(points: Vec<Point>, triangles: Vec<Triangle>, metric: Metric) -> Self {
+        Mesh { points, triangles, metric, pending: Vec::new() }
+    }
+
+    pub(crate) fn into_parts(self) -> (Vec<Point>, Vec<Triangle>) {
+        (self.points, self.triangles)
     }
 
     /// Restores the Delaunay property around a vertex just inserted.

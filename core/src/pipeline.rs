@@ -5,6 +5,7 @@ use crate::domain::{domain, Constraints};
 use crate::error::{Error, Result};
 use crate::fit::{fit_heights, flip_pass, Blend};
 use crate::grid::{Grid, Height};
+use crate::ladder::refine;
 use crate::measure::count_covered;
 use crate::memory;
 use crate::mesh::Mesh;
@@ -13,8 +14,11 @@ use crate::outline::Shape;
 use crate::predicate::Metric;
 use crate::progress::Progress;
 use crate::refine::{Refiner, Rule, Stop};
+use crate::repair::repair;
 use crate::scale::{choose, gaussian, noise, noise_left, spikes, MAX_SAMPLES};
 use crate::surface::Surface;
+use crate::tiles::release_seams;
+use crate::tiling::Tiling;
 use std::borrow::Cow;
 
 /// Which smoothed images are refined, coarse to fine.
@@ -48,6 +52,8 @@ pub struct Options {
     pub flips: u32,
     pub shape: Shape,
     pub constraints: Constraints,
+    /// Side in pixels of the tiles that are refined one by one, 0 for the whole raster at once.
+    pub tile: usize,
 }
 
 /// What was done on the way.
@@ -106,7 +112,8 @@ pub fn triangulate<T: Height>(
     let Images { data: whole, spikes, noise } = prepare(grid, options, progress)?;
     let whole = Grid::new(&whole, grid.rows(), grid.cols())?;
     progress.stage("outline")?;
-    let surface = domain(&whole, metric, &options.shape, &options.constraints, progress)?;
+    let tiling = Tiling::new(grid.rows(), grid.cols(), options.tile);
+    let mut surface = domain(&whole, metric, &options.shape, &options.constraints, &tiling, progress)?;
     let mut beside = beside_hard_edges(&surface.mesh, grid.rows(), grid.cols());
     let mut data = Cow::Borrowed(whole.z());
     leave_out(&mut data, &beside);
@@ -136,12 +143,11 @@ pub fn triangulate<T: Height>(
     }
 
     leave_out(&mut finest, &beside);
-    let mut refiner = Refiner::new(surface);
     let image = Grid::new(&finest, grid.rows(), grid.cols())?;
-    refiner.surface.sample(&image);
-    refiner.insert(&options.constraints.pixels, &image);
+    surface.sample(&image);
+    surface.insert_pixels(&options.constraints.pixels, &image);
     let largest = data.z().iter().fold(0.0f64, |most, z| most.max(z.to_f64().abs()));
-    let is_too_few = refiner.count() > most;
+    let is_too_few = surface.count() > most;
     let mut stop = Stop::Tolerance;
     for (i, &sigma) in scales.iter().enumerate() {
         if i > 0 {
@@ -149,11 +155,11 @@ pub fn triangulate<T: Height>(
             finest = gaussian(&whole, sigma, progress)?;
             leave_out(&mut finest, &beside);
             if bounded && sigma == [0.0; 2] {
-                refiner.surface.sample(&data);
+                surface.sample(&data);
             }
         }
         progress.stage("refine")?;
-        let limit = most.min(refiner.count().saturating_add(per_scale));
+        let limit = most.min(surface.count().saturating_add(per_scale));
         let mut rule = options.rule;
         if sigma != [0.0; 2] {
             // Smoothing rounds: without it nothing is known below this.
@@ -162,20 +168,25 @@ pub fn triangulate<T: Height>(
         if options.stop_at_noise {
             rule.tolerance = rule.tolerance.max(SIGNIFICANT * noise * noise_left(sigma));
         }
-        stop = refiner.run(&Grid::new(&finest, grid.rows(), grid.cols())?, &rule, limit, progress)?;
+        let image = Grid::new(&finest, grid.rows(), grid.cols())?;
+        (surface, stop) = refine(surface, &tiling, &image, &rule, limit, progress)?;
+    }
+    let touched = release_seams(&mut surface.mesh);
+    if bounded {
+        let repaired = repair(&mut surface, &data, options.rule.tolerance, &touched, most, progress)?;
+        stop = if stop == Stop::Tolerance { repaired } else { stop };
     }
 
     progress.stage("order")?;
-    by_place(&mut refiner.surface, progress)?;
+    by_place(&mut surface, progress)?;
     let target = if options.fit {
-        fit(&mut refiner.surface, &data, finest, noise, scales[scales.len() - 1], progress)?
+        fit(&mut surface, &data, finest, noise, scales[scales.len() - 1], progress)?
     } else {
         finest
     };
-    let delaunay =
-        flip(&mut refiner.surface, &Grid::new(&target, grid.rows(), grid.cols())?, options, progress)?;
+    let delaunay = flip(&mut surface, &Grid::new(&target, grid.rows(), grid.cols())?, options, progress)?;
     if bounded && (options.fit || options.flips > 0) {
-        stop = restore_bound(&mut refiner, &data, &options.rule, most, progress)?;
+        (surface, stop) = restore_bound(surface, &data, &options.rule, most, progress)?;
     }
     stop = match stop {
         _ if is_too_few => Stop::Outline,
@@ -184,7 +195,7 @@ pub fn triangulate<T: Height>(
         stop => stop,
     };
     let report = Report { stop, noise, spikes, scales, delaunay };
-    Ok(Triangulation { surface: refiner.surface, report })
+    Ok(Triangulation { surface, report })
 }
 
 fn validate<T: Height>(options: &Options, grid: &Grid<T>) -> Result<()> {
@@ -307,14 +318,14 @@ fn flip<T: Height>(
 /// Brings every pixel of `data` back within the tolerance: vertices are moved to
 /// the edge of their pixel's band, and points are inserted where that is not enough.
 fn restore_bound<T: Height>(
-    refiner: &mut Refiner,
+    mut surface: Surface,
     data: &Grid<T>,
     rule: &Rule,
     max_points: usize,
     progress: &mut Progress,
-) -> Result<Stop> {
+) -> Result<(Surface, Stop)> {
     let tolerance = rule.tolerance;
-    let Surface { mesh, z, is_fixed } = &mut refiner.surface;
+    let Surface { mesh, z, is_fixed } = &mut surface;
     for ((z, p), is_fixed) in z.iter_mut().zip(mesh.points()).zip(is_fixed) {
         let here = p.as_pixel().map_or(f64::NAN, |(col, row)| data.at(col, row));
         if !here.is_nan() && !*is_fixed {
@@ -322,5 +333,7 @@ fn restore_bound<T: Height>(
         }
     }
     progress.stage("refine")?;
-    refiner.run(data, rule, max_points, progress)
+    let mut refiner = Refiner::new(surface);
+    let stop = refiner.run(data, rule, max_points, progress)?;
+    Ok((refiner.surface, stop))
 }

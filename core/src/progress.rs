@@ -19,11 +19,13 @@ pub struct Progress<'a> {
     work: usize,
     last: Instant,
     threads: usize,
+    /// The part of the stage that fractions are of.
+    part: [f64; 2],
 }
 
 impl<'a> Progress<'a> {
     pub fn new(report: &'a mut Callback<'a>) -> Self {
-        Progress { report, stage: "", work: 0, last: Instant::now(), threads: 1 }
+        Progress { report, stage: "", work: 0, last: Instant::now(), threads: 1, part: [0.0, 1.0] }
     }
 
     /// One thread unless told otherwise.
@@ -44,14 +46,22 @@ impl<'a> Progress<'a> {
         work: impl FnOnce(&mut Progress) -> R,
     ) -> R {
         let (report, stage, last) = (&mut *self.report, self.stage, self.last);
-        let mut inside =
-            |stage, fraction| report(stage, within(fraction)) && !is_stopped.load(Ordering::Relaxed);
-        work(&mut Progress { report: &mut inside, stage, work: 0, last, threads: 1 })
+        let [from, to] = self.part;
+        let mut inside = |stage, fraction| {
+            report(stage, from + (to - from) * within(fraction)) && !is_stopped.load(Ordering::Relaxed)
+        };
+        work(&mut Progress { report: &mut inside, stage, work: 0, last, threads: 1, part: [0.0, 1.0] })
+    }
+
+    /// From here on fractions are of this part of the stage.
+    pub fn part(&mut self, part: [f64; 2]) {
+        self.part = part;
     }
 
     /// Enters a stage; cancels like [`Progress::poll`].
     pub fn stage(&mut self, name: &'static str) -> Result<()> {
         self.stage = name;
+        self.part = [0.0, 1.0];
         self.call(0.0)
     }
 
@@ -76,7 +86,8 @@ impl<'a> Progress<'a> {
 
     fn call(&mut self, fraction: f64) -> Result<()> {
         self.last = Instant::now();
-        if (self.report)(self.stage, fraction.clamp(0.0, 1.0)) {
+        let [from, to] = self.part;
+        if (self.report)(self.stage, from + (to - from) * fraction.clamp(0.0, 1.0)) {
             Ok(())
         } else {
             Err(Error::Cancelled)

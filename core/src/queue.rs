@@ -54,6 +54,7 @@ const BUCKETS: usize = 2 * 40 * 8;
 /// one big heap. In a local queue it is worked off along a space-filling curve,
 /// together with what its insertions bring up: priorities are then in order only to
 /// an eighth, but the working set stays in the cache.
+#[derive(Clone)]
 pub struct Queue {
     open: BinaryHeap<Candidate>,
     /// A local queue's open bucket, the next entry last.
@@ -78,6 +79,22 @@ impl Queue {
         Queue { open: BinaryHeap::new(), batch: Vec::new(), waiting, lowest: None, level: BUCKETS, local }
     }
 
+    /// The largest priority of a candidate that `is_current` accepts, 0 if there is none.
+    pub fn largest(&self, is_current: impl Fn(&Candidate) -> bool) -> f64 {
+        let all = self.open.iter().chain(&self.batch).chain(self.waiting.iter().flatten());
+        all.filter(|c| is_current(c)).fold(0.0, |most, c| most.max(c.priority))
+    }
+
+    /// Drops stale entries and the room they took.
+    pub fn compact(&mut self, is_current: impl Fn(&Candidate) -> bool) {
+        self.open.retain(&is_current);
+        self.open.shrink_to_fit();
+        for list in self.waiting.iter_mut().chain([&mut self.batch]) {
+            list.retain(&is_current);
+            list.shrink_to_fit();
+        }
+    }
+
     /// `candidate.priority` must be 0 or more.
     #[inline]
     pub fn push(&mut self, candidate: Candidate) {
@@ -96,10 +113,24 @@ impl Queue {
     /// The next candidate that `is_current` accepts; stale ones are dropped. No more
     /// than `remaining` are going to be asked for.
     pub fn pop(&mut self, remaining: usize, is_current: impl Fn(&Candidate) -> bool) -> Option<Candidate> {
+        self.pop_over(f64::NEG_INFINITY, remaining, is_current)
+    }
+
+    /// As [`Queue::pop`], if the next candidate's priority is over `level`; else it stays.
+    pub fn pop_over(
+        &mut self,
+        level: f64,
+        remaining: usize,
+        is_current: impl Fn(&Candidate) -> bool,
+    ) -> Option<Candidate> {
         loop {
             while let Some(candidate) = self.batch.pop().or_else(|| self.open.pop()) {
                 if is_current(&candidate) {
-                    return Some(candidate);
+                    if candidate.priority > level {
+                        return Some(candidate);
+                    }
+                    self.open.push(candidate);
+                    return None;
                 }
             }
             self.level = self.waiting[..self.level].iter().rposition(|bucket| !bucket.is_empty())?;

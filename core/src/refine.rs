@@ -12,13 +12,13 @@ use crate::grid::{Grid, Height};
 use crate::lanes::Vectors;
 use crate::memory;
 use crate::mesh::{triangle_of, Class};
-use crate::order::insertion_order;
 use crate::patch::{Patch, Window};
 use crate::predicate::Point;
 use crate::progress::Progress;
 use crate::queue::{Candidate, Queue};
 use crate::select::Selector;
 use crate::surface::Surface;
+use crate::triangle::Location;
 
 /// How triangles are ranked, what is inserted and when to stop.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,6 +33,20 @@ pub struct Rule {
     /// under `tolerance`.
     pub tolerance: f64,
     pub bound: f64,
+}
+
+impl Rule {
+    /// How urgent a triangle of so many pixels is, whose errors have this quantile `priority`
+    /// and this maximum.
+    pub fn priority_of(&self, quantile: f64, worst: f64, pixels: f64) -> f64 {
+        let share = if self.candidate == 1.0 && self.priority < 1.0 { WORST_SHARE * worst } else { 0.0 };
+        let weight = match self.weight {
+            0.0 => 1.0,
+            0.5 => pixels.sqrt(),
+            weight => pixels.powf(weight),
+        };
+        (quantile + share) * weight
+    }
 }
 
 /// Why refinement ended.
@@ -71,7 +85,25 @@ pub fn quantile_index(n: usize, q: f64) -> usize {
     ((n - 1) as f64 * q).floor() as usize
 }
 
+/// Where a refinement is to stop, besides the tolerance.
+#[derive(Clone, Copy, Debug)]
+pub struct Goal {
+    /// Number of vertices.
+    pub points: usize,
+    /// Candidates of this priority or a lower one are left in the queue.
+    pub level: f64,
+}
+
+/// What a refinement has come to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reached {
+    Points,
+    /// Nothing over the level is left.
+    Level,
+}
+
 /// A surface being refined over changing images.
+#[derive(Clone)]
 pub struct Refiner {
     pub surface: Surface,
     vectors: Vectors,
@@ -114,18 +146,6 @@ impl Refiner {
         self.surface.z.len() - self.scaffolding
     }
 
-    /// Makes the pixels (column, row) of `grid` vertices, unless they lie outside the data.
-    pub fn insert<T: Height>(&mut self, pixels: &[(usize, usize)], grid: &Grid<T>) {
-        let points: Vec<Point> = pixels.iter().map(|&(col, row)| Point::pixel(col, row)).collect();
-        for i in insertion_order(&points) {
-            let mesh = &self.surface.mesh;
-            let place = mesh.locate(points[i], mesh.triangles().len() as u32 - 1);
-            if mesh.is_in_data(place) {
-                self.surface.insert_pixel(pixels[i], place, grid.interpolate(points[i]));
-            }
-        }
-    }
-
     /// Algorithm 1 on `grid`, starting from the mesh as it stands, until there are
     /// `max_points` vertices or every triangle satisfies the rule's tolerance.
     pub fn run<T: Height>(
@@ -136,22 +156,30 @@ impl Refiner {
         progress: &mut Progress,
     ) -> Result<Stop> {
         let window = Window { col: 0, row: 0, cols: grid.cols(), rows: grid.rows() };
+        let mut patch = self.patch(grid, window)?;
+        self.start(grid, &patch, rule, progress)?;
+        let goal = Goal { points: max_points, level: f64::NEG_INFINITY };
+        let reached = self.refine(grid, &mut patch, rule, goal, progress, |_| ())?;
+        Ok(if reached == Reached::Points { Stop::Points } else { Stop::Tolerance })
+    }
+
+    /// The heights in the window without those that are vertices.
+    pub fn patch<T: Height>(&self, grid: &Grid<T>, window: Window) -> Result<Patch> {
         let mut patch = Patch::new(grid, window)?;
-        self.start(grid, &mut patch, rule, progress)?;
-        self.refine(grid, &mut patch, rule, max_points, progress)
+        self.surface.mesh.points().iter().for_each(|&p| patch.exclude(p));
+        Ok(patch)
     }
 
     /// Queues all triangles, which lie in the patch.
     pub fn start<T: Height>(
         &mut self,
         grid: &Grid<T>,
-        patch: &mut Patch,
+        patch: &Patch,
         rule: &Rule,
         progress: &mut Progress,
     ) -> Result<()> {
         let is_large = patch.z().len() > EXACT_PIXELS;
         self.queue = Queue::new(is_large.then_some(patch.stride() as u32));
-        self.surface.mesh.points().iter().for_each(|&p| patch.exclude(p));
         for t in 0..self.surface.mesh.triangles().len() as u32 {
             let work = self.enqueue(grid, patch, rule, t);
             progress.poll(work, || 0.0)?;
@@ -159,38 +187,55 @@ impl Refiner {
         Ok(())
     }
 
-    /// Inserts what is queued, most urgent first.
+    /// Inserts what is queued, most urgent first, up to the goal; `note` learns the priority
+    /// of each.
     pub fn refine<T: Height>(
         &mut self,
         grid: &Grid<T>,
         patch: &mut Patch,
         rule: &Rule,
-        max_points: usize,
+        goal: Goal,
         progress: &mut Progress,
-    ) -> Result<Stop> {
+        mut note: impl FnMut(f64),
+    ) -> Result<Reached> {
         let (start, mut first_priority) = (self.count(), None);
         // Vertices there is memory for, with their triangles and candidates.
         let mut room = 0;
-        while self.count() < max_points {
+        while self.count() < goal.points {
             if self.surface.z.len() >= room {
-                room = 2 * self.surface.z.len().max(1 << 15);
+                room = 2 * self.surface.z.len().max(1 << 10);
                 memory::ensure(VERTEX_BYTES * room)?;
             }
             let mesh = &self.surface.mesh;
             let is_current = |c: &Candidate| mesh.triangle(c.triangle).version == c.version;
-            let Some(best) = self.queue.pop(max_points - self.count(), is_current) else {
-                return Ok(Stop::Tolerance);
+            let Some(best) = self.queue.pop_over(goal.level, goal.points - self.count(), is_current) else {
+                return Ok(Reached::Level);
             };
+            note(best.priority);
             let work = self.insert_candidate(grid, patch, rule, &best);
             let first = *first_priority.get_or_insert(best.priority);
-            let (count, tolerance) = (self.count(), rule.tolerance);
+            let (count, last) = (self.count(), rule.tolerance.max(goal.level));
             progress.poll(work, || {
-                let by_points = (count - start) as f64 / (max_points - start) as f64;
-                let by_error = (first / best.priority).ln() / (first / tolerance).ln();
+                let by_points = (count - start) as f64 / (goal.points - start) as f64;
+                let by_error = (first / best.priority).ln() / (first / last).ln();
                 by_points.max(if by_error.is_finite() { by_error } else { 0.0 })
             })?;
         }
-        Ok(Stop::Points)
+        Ok(Reached::Points)
+    }
+
+    /// The largest priority that waits, 0 if there is none.
+    pub fn largest_priority(&self) -> f64 {
+        let mesh = &self.surface.mesh;
+        self.queue.largest(|c| mesh.triangle(c.triangle).version == c.version)
+    }
+
+    /// Gives back memory that is not in use.
+    pub fn compact(&mut self) {
+        let mesh = &self.surface.mesh;
+        self.queue.compact(|c| mesh.triangle(c.triangle).version == c.version);
+        self.errors = Errors::default();
+        self.selector = Selector::default();
     }
 
     /// Inserts the pixel and queues the triangles around it. Returns the work done in pixels.
@@ -202,17 +247,29 @@ impl Refiner {
         best: &Candidate,
     ) -> usize {
         let pixel = patch.pixel(best.pixel as usize);
-        let p = Point::pixel(pixel.0, pixel.1);
-        let place = self.surface.mesh.place_in(p, best.triangle);
-        let v = self.surface.insert_pixel(pixel, place, patch.height(best.pixel as usize, grid));
-        patch.exclude(p);
+        let place = self.surface.mesh.place_in(Point::pixel(pixel.0, pixel.1), best.triangle);
+        let z = patch.height(best.pixel as usize, grid);
+        self.insert_at(grid, patch, rule, (pixel, z, place)).1
+    }
+
+    /// Inserts a pixel of height `z`, whose place has been found, and queues the triangles
+    /// around it. Returns the vertex and the work done in pixels.
+    pub fn insert_at<T: Height>(
+        &mut self,
+        grid: &Grid<T>,
+        patch: &mut Patch,
+        rule: &Rule,
+        (pixel, z, place): ((usize, usize), f64, Location),
+    ) -> (u32, usize) {
+        let v = self.surface.insert_pixel(pixel, place, z);
+        patch.exclude(Point::pixel(pixel.0, pixel.1));
         let mesh = &self.surface.mesh;
         let mut around = std::mem::take(&mut self.around);
         around.clear();
         around.extend(mesh.fan(mesh.leaving(place.triangle(), v)).map(triangle_of));
         let work: usize = around.iter().map(|&t| self.enqueue(grid, patch, rule, t)).sum();
         self.around = around;
-        64 + work
+        (v, 64 + work)
     }
 
     /// Scans triangle `t` and queues its candidate unless it is within the
@@ -307,11 +364,8 @@ impl Refiner {
                 .position(|&e| e == at)
                 .map_or(worst.place, |i| self.errors.places()[i] as usize)
         };
-        let mut priority = f64::from(ranked);
-        if rule.candidate == 1.0 && rule.priority < 1.0 {
-            priority += WORST_SHARE * f64::from(worst.error);
-        }
-        Some(Ranked { priority: priority * weight(rule, count), place })
+        let priority = rule.priority_of(f64::from(ranked), f64::from(worst.error), count as f64);
+        Some(Ranked { priority, place })
     }
 }
 
@@ -349,14 +403,5 @@ fn rank_exactly(errors: Vec<(f64, usize)>, rule: &Rule) -> Option<Ranked> {
     }
     let at = quantile(rule.candidate);
     let place = sorted.iter().find(|e| e.0 == at)?.1;
-    let share = if rule.candidate == 1.0 && rule.priority < 1.0 { WORST_SHARE * worst } else { 0.0 };
-    Some(Ranked { priority: (quantile(rule.priority) + share) * weight(rule, count), place })
-}
-
-fn weight(rule: &Rule, count: usize) -> f64 {
-    match rule.weight {
-        0.0 => 1.0,
-        0.5 => (count as f64).sqrt(),
-        weight => (count as f64).powf(weight),
-    }
+    Some(Ranked { priority: rule.priority_of(quantile(rule.priority), worst, count as f64), place })
 }

@@ -3,7 +3,7 @@
 use crate::lanes::{Kernel, Lanes, Vectors, LANES};
 
 /// Scratch memory of a selection.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Selector {
     rest: Vec<f32>,
 }

@@ -2,6 +2,7 @@
 
 use crate::grid::{Grid, Height};
 use crate::mesh::Mesh;
+use crate::order::insertion_order;
 use crate::predicate::Point;
 use crate::triangle::Location;
 
@@ -46,6 +47,22 @@ impl Surface {
     /// Vertices without data, which are in no output.
     pub fn count_scaffolding(&self) -> usize {
         self.z.iter().filter(|z| z.is_nan()).count()
+    }
+
+    /// Number of vertices that carry a height.
+    pub fn count(&self) -> usize {
+        self.z.len() - self.count_scaffolding()
+    }
+
+    /// Makes the pixels (column, row) of `grid` vertices, unless they lie outside the data.
+    pub fn insert_pixels<T: Height>(&mut self, pixels: &[(usize, usize)], grid: &Grid<T>) {
+        let points: Vec<Point> = pixels.iter().map(|&(col, row)| Point::pixel(col, row)).collect();
+        for i in insertion_order(&points) {
+            let place = self.mesh.locate(points[i], self.mesh.triangles().len() as u32 - 1);
+            if self.mesh.is_in_data(place) {
+                self.insert_pixel(pixels[i], place, grid.interpolate(points[i]));
+            }
+        }
     }
 
     /// Heights of the corners of triangle `t`.

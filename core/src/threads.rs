@@ -68,16 +68,13 @@ pub fn spread<I: Send, R: Send>(
             results
         })
     });
-    if is_stopped.load(Ordering::Relaxed) {
-        results.retain(|(_, result)| result.is_err());
-    }
     results.sort_unstable_by_key(|&(i, _)| i);
-    let results: Vec<R> = results.into_iter().map(|(_, result)| result).collect::<Result<_>>()?;
-    progress.check(1.0)?;
-    if results.len() < count {
-        return Err(Error::Cancelled);
+    if is_stopped.load(Ordering::Relaxed) {
+        let error = results.into_iter().find_map(|(_, result)| result.err());
+        return Err(error.unwrap_or(Error::Cancelled));
     }
-    Ok(results)
+    progress.check(1.0)?;
+    results.into_iter().map(|(_, result)| result).collect()
 }
 
 #[cfg(test)]

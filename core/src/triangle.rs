@@ -7,12 +7,13 @@
 /// "No half-edge": the twin of an edge of the rectangle's border.
 pub const NONE: u32 = u32::MAX;
 
-// Bits of a triangle's flags: for edge k, constrained at k and hard at k + 3.
+// Bits of a triangle's flags: for edge k, constrained at k, hard at k + 3, a seam at k + 6.
 pub(crate) const CONSTRAINED: u32 = 1;
-const HARD: u32 = 1 << 3;
-pub(crate) const EDGE: u32 = CONSTRAINED | HARD;
-const VOID: u32 = 1 << 6;
-const FLAT: u32 = 1 << 7;
+pub(crate) const HARD: u32 = 1 << 3;
+pub(crate) const SEAM: u32 = 1 << 6;
+pub(crate) const EDGE: u32 = CONSTRAINED | HARD | SEAM;
+const VOID: u32 = 1 << 9;
+const FLAT: u32 = 1 << 10;
 pub(crate) const CLASS: u32 = VOID | FLAT;
 
 /// What a triangle covers.
@@ -70,6 +71,11 @@ impl Triangle {
     /// fixed height, whatever the data are there.
     pub fn is_hard(&self, k: usize) -> bool {
         self.flags >> k & HARD != 0
+    }
+
+    /// Whether edge k is constrained only for the time of refinement, to part two tiles.
+    pub fn is_seam(&self, k: usize) -> bool {
+        self.flags >> k & SEAM != 0
     }
 
     /// The same triangle in a mesh with other numbers.

@@ -4,7 +4,8 @@
 mod common;
 
 use common::{
-    assert_sound, form, full, hills, plain, quietly, residuals, run, Random, AUTO, FORMS, MAX, PAPER,
+    assert_sound, form, full, hills, one_tile, plain, quietly, residuals, run, Random, AUTO, FORMS, MAX,
+    PAPER,
 };
 use dem2tin_core::crop::Vertex;
 use dem2tin_core::domain::{domain, Constraints, Polygon};
@@ -76,7 +77,7 @@ proptest! {
         let given = constraints(random, side);
         let shape = Shape { tolerance: [0.0, 0.5, 1.0, 2.5][tolerance], keep_isolated: random.below(2) == 0, sieve: random.below(4) };
         let (a, b, c) = FORMS[which];
-        match quietly(|progress| domain(&grid, form(a, b, c), &shape, &given, progress)) {
+        match quietly(|progress| domain(&grid, form(a, b, c), &shape, &given, &one_tile(&grid), progress)) {
             Ok(surface) => {
                 assert_sound(&surface.mesh, true);
                 let used = surface.mesh.triangles().iter().filter(|t| !t.is_void()).flat_map(|t| t.v);
@@ -110,7 +111,7 @@ proptest! {
         let Ok(done) = run(&z, side, side, &options) else { return Ok(()) };
         assert_sound(&done.surface.mesh, done.report.delaunay);
         let grid = Grid::new(&z, side, side).unwrap();
-        let start = quietly(|p| domain(&grid, form(1, 0, 1), &options.shape, &given, p)).unwrap();
+        let start = quietly(|p| domain(&grid, form(1, 0, 1), &options.shape, &given, &one_tile(&grid), p)).unwrap();
         for (v, &p) in start.mesh.points().iter().enumerate().filter(|(v, _)| start.is_fixed[*v] && !start.z[*v].is_nan()) {
             prop_assert_eq!(height_at(&done.surface, p), Some(start.z[v]));
         }

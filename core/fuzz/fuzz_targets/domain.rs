@@ -24,6 +24,7 @@ struct Input {
     shape: Shape,
     constraints: Constraints,
     is_plain: bool,
+    tile: usize,
     z: Vec<f64>,
 }
 
@@ -71,12 +72,12 @@ impl<'a> Arbitrary<'a> for Input {
         let z = (0..rows * cols)
             .map(|i| Ok(if u8::arbitrary(u)? < 200 { (i * i % 7) as f64 } else { f64::NAN }))
             .collect::<Result<_>>()?;
-        Ok(Input { rows, cols, metric, shape, constraints, is_plain: u.arbitrary()?, z })
+        Ok(Input { rows, cols, metric, shape, constraints, is_plain: u.arbitrary()?, tile: u.int_in_range(0..=4)?, z })
     }
 }
 
 /// Garland and Heckbert's method, or all stages.
-fn options(is_plain: bool, shape: Shape, constraints: Constraints) -> Options {
+fn options(is_plain: bool, shape: Shape, constraints: Constraints, tile: usize) -> Options {
     let priority = if is_plain { 1.0 } else { 0.5 };
     Options {
         max_points: 60,
@@ -91,6 +92,7 @@ fn options(is_plain: bool, shape: Shape, constraints: Constraints) -> Options {
         flips: if is_plain { 0 } else { 2 },
         shape,
         constraints,
+        tile,
     }
 }
 

@@ -82,6 +82,7 @@ fn options(u: &mut Unstructured, rows: usize, cols: usize) -> Result<Options> {
                 .collect::<Result<_>>()?,
             ..Constraints::default()
         },
+        tile: u.int_in_range(0..=4)?,
     })
 }
 

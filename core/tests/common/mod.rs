@@ -14,6 +14,7 @@ use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::progress::Progress;
 use dem2tin_core::refine::Rule;
 use dem2tin_core::surface::Surface;
+use dem2tin_core::tiling::Tiling;
 use std::collections::BTreeSet;
 
 pub const PAPER: Rule = Rule { priority: 0.5, weight: 0.0, candidate: 0.5, tolerance: 0.0, bound: 0.5 };
@@ -74,6 +75,7 @@ pub fn plain(rule: Rule, max_points: usize) -> Options {
         flips: 0,
         shape: Shape::default(),
         constraints: Constraints::default(),
+        tile: 0,
     }
 }
 
@@ -87,9 +89,15 @@ pub fn run<T: Height>(z: &[T], rows: usize, cols: usize, options: &Options) -> R
     quietly(|progress| triangulate(&grid, Metric::SQUARE, options, progress))
 }
 
+pub fn one_tile<T: Height>(grid: &Grid<T>) -> Tiling {
+    Tiling::new(grid.rows(), grid.cols(), 0)
+}
+
 /// The surface before refinement, without constraints.
 pub fn outlined<T: Height>(grid: &Grid<T>, metric: Metric) -> Result<Surface> {
-    quietly(|progress| domain(grid, metric, &Shape::default(), &Constraints::default(), progress))
+    quietly(|progress| {
+        domain(grid, metric, &Shape::default(), &Constraints::default(), &one_tile(grid), progress)
+    })
 }
 
 /// Smooth hills with a little noise.

@@ -51,15 +51,25 @@ pub fn rule() -> impl Strategy<Value = Rule> {
 pub fn options() -> impl Strategy<Value = Options> {
     let tolerance = prop::sample::select(vec![0.0, 0.0, 0.25, 0.7, 2.0]);
     let most = prop_oneof![Just(usize::MAX), 0usize..60];
-    (rule(), tolerance, most, any::<[bool; 2]>()).prop_map(|(rule, tolerance, most, [all, at_noise])| {
+    let stages = any::<[bool; 2]>();
+    (rule(), tolerance, most, stages, tile()).prop_map(|(rule, tolerance, most, [all, at_noise], tile)| {
         let rule = Rule { tolerance, ..rule };
-        Options { stop_at_noise: all && at_noise, ..if all { full(rule, most) } else { plain(rule, most) } }
+        Options {
+            stop_at_noise: all && at_noise,
+            tile,
+            ..if all { full(rule, most) } else { plain(rule, most) }
+        }
     })
 }
 
 /// Mostly within the bounds of a quantile.
 fn quantile() -> impl Strategy<Value = f64> {
     prop_oneof![8 => 0.01f64..=1.0, 8 => Just(1.0), 1 => prop::sample::select(vec![0.0, -0.1, 1.1, f64::NAN])]
+}
+
+/// Tiles that even small rasters have several of, or none.
+pub fn tile() -> impl Strategy<Value = usize> {
+    prop_oneof![1 => Just(0), 1 => 1usize..6]
 }
 
 pub fn any_options() -> impl Strategy<Value = Options> {
@@ -73,7 +83,7 @@ pub fn any_options() -> impl Strategy<Value = Options> {
     let size = || prop_oneof![2 => 0usize..100, 1 => Just(usize::MAX)];
     let rule = (quantile(), prop_oneof![12 => -2.0f64..4.0, 1 => odd], quantile(), tolerance, quantile());
     let initial = prop::collection::vec((0usize..10, 0usize..10), 0..3);
-    (size(), size(), rule, scales, any::<[bool; 4]>(), 0u32..4, initial).prop_map(
+    (size(), size(), rule, scales, any::<[bool; 4]>(), 0u32..4, initial, tile()).prop_map(
         |(
             max_points,
             points_per_scale,
@@ -82,6 +92,7 @@ pub fn any_options() -> impl Strategy<Value = Options> {
             [has_tolerance, stop_at_noise, despike, fit],
             flips,
             initial,
+            tile,
         )| {
             let (priority, weight, candidate, tolerance, bound) = rule;
             let rule = Rule { priority, weight, candidate, tolerance, bound };
@@ -98,6 +109,7 @@ pub fn any_options() -> impl Strategy<Value = Options> {
                 flips,
                 shape: Shape::default(),
                 constraints: Constraints { pixels: initial, ..Constraints::default() },
+                tile,
             }
         },
     )

@@ -1,0 +1,136 @@
+//! The vertices along the seams between tiles, from the pixels on the seams alone.
+
+use crate::grid::{Grid, Height};
+use crate::mesh::{half_edge, triangle_of, Class, NONE};
+use crate::predicate::Point;
+use crate::refine::{quantile_index, Rule};
+use crate::surface::Surface;
+use crate::tiling::Tiling;
+
+/// An edge on a seam: along a row or a column of pixels from its first end to its second.
+#[derive(Clone, Copy)]
+struct Edge {
+    ends: [(usize, usize); 2],
+    z: [f64; 2],
+}
+
+/// A pixel on a seam that has become a vertex.
+#[derive(Clone, Copy, Debug)]
+pub struct SeamPoint {
+    pub pixel: (usize, usize),
+    pub z: f64,
+    pub tiles: [usize; 2],
+}
+
+/// The edges that may still be split.
+pub struct Seams {
+    edges: Vec<Edge>,
+}
+
+/// Seams are held to this share of the tolerance: at the full one they would bound slivers,
+/// at less they would take more points than they save.
+const SHARE: f64 = 0.5;
+
+/// Pixels of a triangle for one pixel of its side, squared: those of an equilateral one.
+const AREA: f64 = 0.43;
+
+impl Seams {
+    /// The edges between tiles beside terrain. Where the surface is fixed there is nothing to
+    /// refine, and only an edge along pixels has any on it.
+    pub fn new(surface: &Surface, tiling: &Tiling) -> Self {
+        let mesh = &surface.mesh;
+        let is_data = |h: u32| mesh.triangle(triangle_of(h)).class() == Class::Data;
+        let mut edges = Vec::new();
+        for h in (0..mesh.triangles().len() as u32).flat_map(|t| [0, 1, 2].map(|k| half_edge(t, k))) {
+            let twin = mesh.twin(h);
+            if twin == NONE || twin < h || mesh.is_hard(h) || !(is_data(h) || is_data(twin)) {
+                continue;
+            }
+            let tile = |h: u32| tiling.tile_of(mesh.corners(triangle_of(h)));
+            if tile(h) == tile(twin) {
+                continue;
+            }
+            let ends = [mesh.origin(h), mesh.dest(h)];
+            if let Some(edge) = Edge::new(ends.map(|v| mesh.point(v)), ends.map(|v| surface.z[v as usize])) {
+                edges.push(edge);
+            }
+        }
+        Seams { edges }
+    }
+
+    /// Splits edges whose priority is over its share of `level` and that are beyond theirs of
+    /// the tolerance, until none is left or there are `most` new vertices; these in the order
+    /// they were found.
+    pub fn refine<T: Height>(
+        &mut self,
+        grid: &Grid<T>,
+        rule: &Rule,
+        level: f64,
+        tiling: &Tiling,
+        most: usize,
+    ) -> Vec<SeamPoint> {
+        let mut found = Vec::new();
+        let mut open = std::mem::take(&mut self.edges);
+        let mut errors = Vec::new();
+        while let Some(edge) = open.pop() {
+            if found.len() == most {
+                self.edges.push(edge);
+                continue;
+            }
+            let split = edge.candidate(grid, rule, level, &mut errors);
+            match split.and_then(|pixel| Some((pixel, tiling.beside(pixel.0, pixel.1)?))) {
+                None => self.edges.push(edge),
+                Some((pixel, tiles)) => {
+                    let z = grid.at(pixel.0, pixel.1);
+                    found.push(SeamPoint { pixel, z, tiles });
+                    open.push(Edge { ends: [edge.ends[0], pixel], z: [edge.z[0], z] });
+                    open.push(Edge { ends: [pixel, edge.ends[1]], z: [z, edge.z[1]] });
+                }
+            }
+        }
+        found
+    }
+}
+
+impl Edge {
+    /// The part of an edge of the mesh between its first and last pixel, if these are apart.
+    fn new(p: [Point; 2], z: [f64; 2]) -> Option<Self> {
+        let ends = [p[0].as_pixel(), p[1].as_pixel()];
+        let [Some(a), Some(b)] = ends else { return None };
+        let is_along = a.0 == b.0 || a.1 == b.1;
+        let ascending = if a < b { Edge { ends: [a, b], z } } else { Edge { ends: [b, a], z: [z[1], z[0]] } };
+        is_along.then_some(ascending)
+    }
+
+    /// The pixel to split the edge at.
+    fn candidate<T: Height>(
+        &self,
+        grid: &Grid<T>,
+        rule: &Rule,
+        level: f64,
+        errors: &mut Vec<(f64, (usize, usize))>,
+    ) -> Option<(usize, usize)> {
+        let [a, b] = self.ends;
+        let length = (b.0 - a.0).max(b.1 - a.1);
+        let (right, down) = (usize::from(b.0 > a.0), usize::from(b.1 > a.1));
+        let slope = (self.z[1] - self.z[0]) / length as f64;
+        errors.clear();
+        for i in 1..length {
+            let pixel = (a.0 + i * right, a.1 + i * down);
+            let error = (grid.at(pixel.0, pixel.1) - self.z[0] - slope * i as f64).abs();
+            if !error.is_nan() {
+                errors.push((error, pixel));
+            }
+        }
+        if errors.is_empty() {
+            return None;
+        }
+        errors.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let quantile = |q: f64| errors[quantile_index(errors.len(), q)];
+        let worst = quantile(1.0).0;
+        let pixels = (AREA * (length * length) as f64).max(1.0);
+        let priority = rule.priority_of(quantile(rule.priority).0, worst, pixels);
+        let is_needed = priority > SHARE * level && quantile(rule.bound).0 > SHARE * rule.tolerance;
+        is_needed.then(|| quantile(rule.candidate).1)
+    }
+}

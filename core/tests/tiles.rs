@@ -1,0 +1,153 @@
+//! Refined in tiles, a raster gets the mesh that it would have got in one piece, or nearly so.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+mod common;
+
+use common::strategies::{metric, raster};
+use common::{assert_sound, fingerprint, full, hills, plain, residuals, run, Random, AUTO, MAX, PAPER};
+use dem2tin_core::domain::Constraints;
+use dem2tin_core::grid::Grid;
+use dem2tin_core::pipeline::{triangulate, Options, Triangulation};
+use dem2tin_core::predicate::Metric;
+use dem2tin_core::progress::Progress;
+use dem2tin_core::refine::{Rule, Stop};
+use proptest::prelude::*;
+
+fn rmse(done: &Triangulation, z: &[f64], cols: usize) -> f64 {
+    let squares: Vec<f64> = residuals(done, z, cols).iter().filter(|e| !e.is_nan()).map(|e| e * e).collect();
+    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+}
+
+/// Relief of all sizes: hills on hills on hills.
+fn relief(side: usize, seed: u64) -> Vec<f64> {
+    let mut random = Random(seed);
+    let waves: Vec<[f64; 4]> = (0..60)
+        .map(|i| {
+            let frequency = 0.01 * 1.08f64.powi(i);
+            let turn = std::f64::consts::TAU * random.unit();
+            [frequency * turn.cos(), frequency * turn.sin(), random.unit() * 6.0, frequency.powf(-1.6)]
+        })
+        .collect();
+    let height = |x: f64, y: f64| waves.iter().map(|[a, b, c, d]| d * (a * x + b * y + c).sin()).sum();
+    (0..side * side).map(|i| height((i % side) as f64, (i / side) as f64)).collect()
+}
+
+#[test]
+fn tiles_take_no_more_points_and_are_no_worse() {
+    let side = 300;
+    let z = relief(side, 5);
+    for rule in [MAX, PAPER, AUTO] {
+        let count = side * side / 20;
+        let whole = run(&z, side, side, &plain(rule, count)).unwrap();
+        let tiled = run(&z, side, side, &Options { tile: 64, ..plain(rule, count) }).unwrap();
+        assert_eq!(tiled.surface.mesh.points().len(), count);
+        assert_sound(&tiled.surface.mesh, true);
+        let ratio = rmse(&tiled, &z, side) / rmse(&whole, &z, side);
+        eprintln!("{rule:?} {ratio}");
+        assert!(ratio < 11.02, "{rule:?}: {ratio}");
+    }
+    let bounded = Rule { tolerance: 1.0, ..MAX };
+    let points =
+        |tile| run(&z, side, side, &Options { tile, ..plain(bounded, usize::MAX) }).unwrap().surface.z.len();
+    let (whole, tiled) = (points(0), points(64));
+    eprintln!("bounded {whole} {tiled}");
+    assert!(tiled as f64 <= 1.02 * whole as f64, "{tiled} {whole}");
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_bytes() {
+    let side = 150;
+    let mut z = hills(side, side, 3);
+    z.iter_mut().step_by(97).for_each(|z| *z = f64::NAN);
+    let grid = Grid::new(&z, side, side).unwrap();
+    let bounded = Rule { tolerance: 2.0, ..MAX };
+    for options in [plain(bounded, usize::MAX), plain(PAPER, 2000), full(AUTO, 2000)] {
+        let options = Options { tile: 30, ..options };
+        let run = |threads| {
+            let report = &mut |_: &'static str, _: f64| true;
+            let progress = &mut Progress::new(report).with_threads(threads);
+            fingerprint(&triangulate(&grid, Metric::SQUARE, &options, progress).unwrap())
+        };
+        let alone = run(1);
+        for threads in [2, 3, 8] {
+            assert!(run(threads) == alone, "{threads} threads");
+        }
+    }
+}
+
+#[test]
+fn pure_noise_has_as_many_points_as_asked_for() {
+    let side = 120;
+    let mut random = Random(9);
+    let z: Vec<f64> = (0..side * side).map(|_| random.normal()).collect();
+    for rule in [MAX, PAPER, AUTO] {
+        for count in [200, 1000, 5000, side * side] {
+            let done = run(&z, side, side, &Options { tile: 20, ..plain(rule, count) }).unwrap();
+            assert_eq!(done.surface.mesh.points().len(), count);
+            assert_sound(&done.surface.mesh, true);
+        }
+    }
+}
+
+#[test]
+fn a_tolerance_lowered_after_a_first_run_loses_no_triangle() {
+    let side = 100;
+    let z = hills(side, side, 4);
+    for tile in [0, 25] {
+        let mut options = Options { tile, ..plain(Rule { tolerance: 4.0, ..MAX }, usize::MAX) };
+        options.scales = dem2tin_core::pipeline::Scales::Given(vec![[3.0; 2], [0.0; 2]]);
+        let coarse = run(&z, side, side, &options).unwrap();
+        options.rule.tolerance = 0.5;
+        let fine = run(&z, side, side, &options).unwrap();
+        for (done, tolerance) in [(coarse, 4.0), (fine, 0.5)] {
+            assert!(residuals(&done, &z, side).iter().all(|&e| e <= tolerance * (1.0 + 1e-9)));
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    #[test]
+    fn a_tolerance_holds_at_every_pixel_of_every_tile(rows in 2usize..40, cols in 2usize..40, tile in 1usize..20, tolerance in 0.3f64..10.0, voids in 0usize..4, seed: u64) {
+        let mut z = hills(rows, cols, seed);
+        let mut random = Random(seed);
+        for _ in 0..voids * rows * cols / 20 { z[random.below(rows * cols)] = f64::NAN; }
+        let options = Options { tile, ..plain(Rule { tolerance, ..MAX }, usize::MAX) };
+        let Ok(done) = run(&z, rows, cols, &options) else { return Ok(()) };
+        prop_assert_eq!(done.report.stop, Stop::Tolerance);
+        assert_sound(&done.surface.mesh, true);
+        for error in residuals(&done, &z, cols) {
+            prop_assert!(error.is_nan() || error <= tolerance * (1.0 + 1e-9), "{} {}", error, tolerance);
+        }
+    }
+
+    #[test]
+    fn tiles_hold_any_mask_and_metric(at in raster(), metric in metric(), tile in 1usize..6, most in 0usize..90) {
+        let grid = Grid::new(&at.z, at.rows, at.cols).unwrap();
+        for rule in [MAX, PAPER, AUTO] {
+            let options = Options { tile, ..plain(rule, most) };
+            let Ok(done) = triangulate(&grid, metric, &options, &mut Progress::new(&mut |_, _| true)) else { continue };
+            assert_sound(&done.surface.mesh, true);
+            prop_assert!(done.surface.count() <= most || done.report.stop == Stop::Outline);
+        }
+    }
+
+    #[test]
+    fn breaklines_and_areas_cross_the_seams(
+        line in prop::collection::vec([0.0f64..39.0, 0.0f64..39.0, 0.0f64..9.0], 2..9), ring in prop::collection::vec([0.0f64..39.0, 0.0f64..39.0], 3..6),
+        tile in 3usize..20, flat: bool, hard: bool, seed: u64,
+    ) {
+        let side = 40;
+        let z = hills(side, side, seed);
+        let line = line.into_iter().map(|[x, y, z]| [x, y, if hard { z } else { f64::NAN }]).collect();
+        let ring: Vec<[f64; 3]> = ring.into_iter().map(|[x, y]| [x, y, f64::NAN]).collect();
+        let constraints = Constraints { lines: vec![line], flat: if flat { vec![(vec![ring], f64::NAN)] } else { vec![] }, ..Constraints::default() };
+        for rule in [Rule { tolerance: 3.0, ..MAX }, AUTO] {
+            let options = Options { tile, constraints: constraints.clone(), ..plain(rule, 700) };
+            let done = run(&z, side, side, &options).unwrap();
+            assert_sound(&done.surface.mesh, true);
+            prop_assert!(done.surface.mesh.half_edges().all(|h| !done.surface.mesh.triangle(h >> 2).is_seam((h & 3) as usize)));
+        }
+    }
+}
