@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import tin
+from tin.sources import blocks
 
 SAMPLE = Path(__file__).resolve().parent.parent / "sample_dem" / "jacksboro.tif"
 GAUSSIAN_SIGMA = 25.5  # the paper's, on 8-bit images
@@ -88,7 +89,7 @@ def rasterise(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int])
 
 
 def _rasterise_few(points: np.ndarray, triangles: np.ndarray, surface: np.ndarray) -> None:
-    x, y, z = (points[:, k].astype(np.float64)[triangles] for k in range(3))
+    x, y, z = (points[triangles, k].astype(np.float64) for k in range(3))
     x_b, y_b, x_c, y_c = x[:, 1] - x[:, 0], y[:, 1] - y[:, 0], x[:, 2] - x[:, 0], y[:, 2] - y[:, 0]
     area = x_b * y_c - y_b * x_c
     last_row, last_col = surface.shape[0] - 1, surface.shape[1] - 1
@@ -131,16 +132,21 @@ class Errors:
 
 
 def evaluate(surface: np.ndarray, truth: np.ndarray) -> Errors:
-    """Vertical errors over the pixels that both cover."""
-    error = np.abs(surface - truth)
-    known = np.isfinite(error)
-    covered = error[known]
+    """Vertical errors over the pixels that both cover; takes 8 bytes a pixel beside the arguments."""
+    covered, missing, count = np.empty(surface.size), 0, 0
+    for rows in blocks(*surface.shape):
+        error = np.abs(surface[rows] - truth[rows])
+        known = error[np.isfinite(error)]
+        covered[count : count + len(known)] = known
+        count += len(known)
+        missing += int(np.isfinite(truth[rows]).sum()) - len(known)
+    covered = covered[:count]
     return Errors(
-        rmse=float(np.sqrt(np.mean(covered**2))),
+        rmse=float(np.sqrt(np.dot(covered, covered) / count)),
         mae=float(covered.mean()),
-        p95=float(np.percentile(covered, 95)),
         largest=float(covered.max()),
-        missing=int((np.isfinite(truth) & ~known).sum()),
+        p95=float(np.percentile(covered, 95, overwrite_input=True)),
+        missing=missing,
     )
 
 

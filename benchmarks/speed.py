@@ -1,13 +1,18 @@
-"""Seconds and memory of dem2tin and pydelatin on made terrain; prints Markdown.
+"""Seconds and memory of dem2tin and its peers, pydelatin and hmm, on made terrain; prints Markdown.
 
-    python benchmarks/speed.py [--size 1024 2048] [--percent 5] [--rounds 3]
+    python benchmarks/speed.py [--size 1024 2048] [--percent 1 5] [--threads 1 2] [--hmm hmm] [--rounds 3]
 
-Every run is a process of its own (``speed_run.py``), and in each round all programs take their turn.
+Every run is a process of its own (``speed_run.py``), and in each round all programs take their turn; ratios
+are medians of the rounds' ratios. The base is the faster peer of the round: *speed-up* is its time by that
+of the program. Method ``median`` is compared with the peers' refinement by the largest error at an equal
+number of points, too, and every method with dem2tin's own ``max`` on as many threads.
+
 They are compared at an equal number of points, and at an equal tolerance: the error that pydelatin has
 reached at that number. Method ``median`` takes no part in the latter, since its tolerance bounds the
 median of a triangle's errors. The time is that of the library's call, the heights already in memory:
-dem2tin's has the outline of the data in it, and with ``auto`` every stage. Errors are measured by
-``common.rasterise``, in the first round.
+dem2tin's has the outline of the data in it, and with ``auto`` every stage; hmm's is what it prints for
+"triangulating" (see ``hmm.py``, also for the rounding of its heights), and its memory is not measured.
+Errors are measured by ``common.rasterise``, in the first round.
 """
 
 from __future__ import annotations
@@ -20,22 +25,27 @@ import subprocess
 import sys
 import tempfile
 from collections import defaultdict
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import hmm
 import made_terrain
 import numpy as np
 from common import table
 
 RUN = Path(__file__).with_name("speed_run.py")
 METHODS = ("max", "median", "auto")
-PEER = "pydelatin"
+GUIDE = "pydelatin"  # the peer whose error is the tolerance
 HEADER = (
     "program",
     "vertices",
     "min s",
     "median s",
-    f"of {PEER}'s time",
+    "ns a pixel",
+    "of the base's time",
+    "speed-up",
+    "of `max`'s time",
     "MB before",
     "MB more at peak",
     "largest error",
@@ -44,16 +54,26 @@ HEADER = (
 Figures = dict[str, Any]
 
 
-def run(heights: Path, program: str, points: int | None, tolerance: float | None, errors: bool) -> Figures:
+class Program(NamedTuple):
+    """What is run: a method of ours on a number of threads, or a peer."""
+
+    name: str
+    threads: int = 1
+
+    def __str__(self) -> str:
+        return self.name if self.threads == 1 else f"{self.name}, {self.threads} threads"
+
+    @property
+    def is_peer(self) -> bool:
+        return self.name not in METHODS
+
+
+Runs = dict[Program, list[Figures]]
+
+
+def run(job: Figures) -> Figures:
     """The figures of one run."""
-    job = {
-        "heights": str(heights),
-        "program": program,
-        "points": points,
-        "tolerance": tolerance,
-        "errors": errors,
-    }
-    # One thread each, whatever the libraries would do.
+    # One thread each but for those asked for, whatever the libraries would do.
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
         [sys.executable, str(RUN), json.dumps(job)],
@@ -63,99 +83,143 @@ def run(heights: Path, program: str, points: int | None, tolerance: float | None
         env=environment,
     )
     if done.returncode:
-        raise SystemExit(f"{program} on {heights.name} failed ({done.returncode}):\n{done.stderr}")
+        raise SystemExit(f"{job['program']} failed ({done.returncode}):\n{done.stderr}")
     return json.loads(done.stdout)
 
 
 def rounds(
-    heights: Path, programs: list[str], points: int | None, tolerance: float | None, given: argparse.Namespace
-) -> dict[str, list[Figures]]:
+    heights: Path,
+    programs: Iterable[Program],
+    points: int | None,
+    tolerance: float | None,
+    given: argparse.Namespace,
+) -> Runs:
     """The figures of every round, by program."""
-    runs: dict[str, list[Figures]] = defaultdict(list)
+    runs: Runs = defaultdict(list)
     for i in range(given.rounds):
         for program in programs:
-            with_errors = i == 0 and not given.no_errors
-            runs[program].append(run(heights, program, points, tolerance, with_errors))
+            job = {
+                "heights": str(heights),
+                "program": program.name,
+                "threads": program.threads,
+                "hmm": given.hmm,
+                "points": points,
+                "tolerance": tolerance,
+                "errors": i == 0 and not given.no_errors,
+            }
+            runs[program].append(run(job))
     return runs
 
 
-def row(program: str, runs: list[Figures], peer: list[Figures]) -> list[str]:
-    seconds = [figures["seconds"] for figures in runs]
-    ratios = [figures["seconds"] / other["seconds"] for figures, other in zip(runs, peer)]
-    first = runs[0]
+def seconds(figures: list[Figures]) -> np.ndarray:
+    return np.array([run["seconds"] for run in figures])
+
+
+def row(program: Program, runs: Runs, pixels: int) -> list[str]:
+    figures, own = runs[program], seconds(runs[program])
+    base = np.min([seconds(other) for peer, other in runs.items() if peer.is_peer], axis=0)
+    best = runs.get(Program("max", program.threads))
+    is_ours = best is not None and not program.is_peer
+
+    def median(key: str, less: str | None = None) -> str:
+        if key not in figures[0]:
+            return "—"
+        return f"{statistics.median(run[key] - (run[less] if less else 0) for run in figures):.0f}"
+
     return [
-        program,
-        f"{first['vertices']:,}",
-        f"{min(seconds):.3f}",
-        f"{statistics.median(seconds):.3f}",
-        f"{statistics.median(ratios):.2f}",
-        f"{statistics.median(figures['before_mb'] for figures in runs):.0f}",
-        f"{statistics.median(figures['peak_mb'] - figures['before_mb'] for figures in runs):.0f}",
-        f"{first['largest']:.3f}" if "largest" in first else "—",
-        f"{first['rmse']:.3f}" if "rmse" in first else "—",
+        str(program),
+        f"{figures[0]['vertices']:,}",
+        f"{own.min():.3f}",
+        f"{np.median(own):.3f}",
+        f"{np.median(own) / pixels * 1e9:.0f}",
+        f"{np.median(own / base):.2f}",
+        f"{np.median(base / own):.2f}",
+        f"{np.median(own / seconds(best)):.2f}" if best and is_ours else "—",
+        median("before_mb"),
+        median("peak_mb", "before_mb"),
+        *(f"{figures[0][key]:.3f}" if key in figures[0] else "—" for key in ("largest", "rmse")),
     ]
 
 
-def compare(heights: Path, name: str, size: int, given: argparse.Namespace) -> list[Figures]:
-    """Prints both tables; returns the runs of ``auto`` at an equal number of points."""
-    points = round(size**2 * given.percent / 100)
-    by_points = rounds(heights, [*given.methods, PEER], points, None, given)
-    tolerance = by_points[PEER][0]["next_error"]
-    methods = [method for method in given.methods if method != "median"]
-    by_tolerance = rounds(heights, [*methods, PEER], None, tolerance, given)
-    for title, runs in (
-        (f"{points:,} points", by_points),
-        (f"tolerance {tolerance:.4g}", by_tolerance),
-    ):
-        missing = sum(figures[0].get("missing", 0) for figures in runs.values())
-        print(f"\n### {name} {size} × {size}, {title}\n")
-        rows = [row(program, figures, runs[PEER]) for program, figures in runs.items()]
-        print(table(HEADER, rows), flush=True)
-        if missing:
-            print(f"\n{missing} pixels that no triangle covers are not in the errors.")
-    return by_points.get("auto", [])
+def compare(heights: Path, title: str, pixels: int, percent: float, given: argparse.Namespace) -> Runs:
+    """Prints the tables of one number of points; returns the runs at that number."""
+    points = round(pixels * percent / 100)
+    peers = [Program(GUIDE), *([Program("hmm")] if given.hmm else [])]
+    ours = [Program(method, threads) for method in given.methods for threads in given.threads]
+    by_points = rounds(heights, [*ours, *peers], points, None, given)
+    show(by_points, f"{title}, {points:,} points ({percent:g} %)", pixels)
+    tolerance = by_points[Program(GUIDE)][0]["next_error"]
+    bounded = [program for program in ours if program.name != "median"]
+    by_tolerance = rounds(heights, [*bounded, *peers], None, tolerance, given)
+    show(by_tolerance, f"{title}, tolerance {tolerance:.4g}", pixels)
+    return by_points
+
+
+def show(runs: Runs, title: str, pixels: int) -> None:
+    print(f"\n### {title}\n")
+    print(table(HEADER, [row(program, runs, pixels) for program in runs]), flush=True)
+    missing = sum(figures[0].get("missing", 0) for figures in runs.values())
+    if missing:
+        print(f"\n{missing} pixels that no triangle covers are not in the errors.")
 
 
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    several: dict[str, Any] = {"nargs": "+"}
     parser.add_argument(
-        "--size", type=int, nargs="+", default=[1024], help="sides of the DEMs (default: 1024)"
+        "--size", type=int, default=[1024], help="sides of the DEMs (default: 1024)", **several
     )
     parser.add_argument(
         "--terrain",
-        nargs="+",
         choices=made_terrain.NAMES,
         default=list(made_terrain.SLOPES),
         help="smooth, rough (both made; the default), or the sample DEM resampled",
+        **several,
     )
-    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
+    parser.add_argument("--methods", choices=METHODS, default=list(METHODS), **several)
     parser.add_argument(
-        "--percent", type=float, default=5.0, help="vertices, in %% of the pixels (default: 5)"
+        "--percent",
+        type=float,
+        default=[5.0],
+        help="vertices, in %% of the pixels (default: 5)",
+        **several,
     )
+    parser.add_argument("--threads", type=int, default=[1], help="of dem2tin (default: 1)", **several)
+    parser.add_argument("--hmm", metavar="PATH", help="the program hmm, to be compared with, too")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument(
-        "--no-errors", action="store_true", help="leave out the errors: they need some 45 bytes a pixel"
+        "--no-errors", action="store_true", help="leave out the errors: they need some 25 bytes a pixel"
     )
     given = parser.parse_args(arguments)
 
-    shares: dict[str, list[float]] = defaultdict(list)
+    shares: dict[tuple[str, int], list[float]] = defaultdict(list)
     with tempfile.TemporaryDirectory() as folder:
         for size in given.size:
             for name in given.terrain:
                 heights = Path(folder) / f"{name}{size}.npy"
-                np.save(heights, made_terrain.make(name, size))
-                for figures in compare(heights, name, size, given):
-                    for stage, seconds in figures["stages"].items():
-                        shares[stage].append(seconds / figures["stages"]["refine"])
-                heights.unlink()
+                z = made_terrain.make(name, size)
+                np.save(heights, z)
+                if given.hmm:
+                    hmm.write_png(z, heights.with_suffix(".png"))
+                del z
+                for percent in given.percent:
+                    runs = compare(heights, f"{name} {size} × {size}", size**2, percent, given)
+                    for threads in given.threads:
+                        for figures in runs.get(Program("auto", threads), []):
+                            for stage, spent in figures["stages"].items():
+                                shares[stage, threads].append(spent / figures["stages"]["refine"])
+                for file in (heights, heights.with_suffix(".png")):
+                    file.unlink(missing_ok=True)
     if shares:
-        print("\n### Stages of auto, in multiples of its refinement\n")
+        print("\n### Stages of auto, in multiples of its refinement on as many threads\n")
+        stages = [stage for stage in dict.fromkeys(stage for stage, _ in shares) if stage != "start"]
         shown = [
-            (stage, f"{statistics.median(parts):.2f}") for stage, parts in shares.items() if stage != "start"
+            [stage, *(f"{statistics.median(shares[stage, threads]):.2f}" for threads in given.threads)]
+            for stage in stages
         ]
-        print(table(("stage", "median"), shown))
+        print(table(("stage", *(str(Program("auto", threads)) for threads in given.threads)), shown))
 
 
 if __name__ == "__main__":

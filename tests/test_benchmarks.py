@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import tin
+import tin.options
 
 for library in ("matplotlib", "scipy", "pydelatin", "pyfqmr", "OpenImageIO"):
     importlib.import_module(library)
@@ -109,17 +113,114 @@ def test_speed(capsys):
 def test_one_run_has_the_errors_of_the_mesh_it_made(tmp_path):
     speed = script("speed")
     np.save(tmp_path / "z.npy", hills(50, 70).astype(np.float32))
+    job = {"heights": str(tmp_path / "z.npy"), "threads": 1, "errors": True}
     for program in ("max", "pydelatin"):
-        by_points = speed.run(tmp_path / "z.npy", program, 120, None, errors=True)
+        by_points = speed.run({**job, "program": program, "points": 120, "tolerance": None})
         assert by_points["vertices"] == 120
         assert 0 < by_points["rmse"] < by_points["largest"] < 20
         assert by_points["missing"] == 0
         assert 0 < by_points["before_mb"] <= by_points["peak_mb"] < 500
-        by_tolerance = speed.run(tmp_path / "z.npy", program, None, 5.0, errors=True)
+        by_tolerance = speed.run({**job, "program": program, "points": None, "tolerance": 5.0})
         assert by_tolerance["vertices"] > 4
         assert 2.5 < by_tolerance["largest"] <= 5.0 + 1e-4
     with pytest.raises(SystemExit, match="none of"):
-        speed.run(tmp_path / "z.npy", "least", 120, None, errors=True)
+        speed.run({**job, "program": "least", "points": 120, "tolerance": None})
+
+
+# Reads, prints and writes as hmm does; what triangulates is pydelatin, which is a port of it.
+FAKE_HMM = f"""#!{sys.executable}
+import sys
+import numpy as np
+from PIL import Image
+from pydelatin import Delatin
+
+options = dict(zip(sys.argv[1:-2:2], sys.argv[2:-2:2]))
+grey = np.asarray(Image.open(sys.argv[-2])).astype(np.float32) / np.float32(65535)
+mesh = Delatin(grey, max_error=float(options["-e"]), max_points=int(options.get("-p", 0)) or None)
+print("loading heightmap... 0.5s")
+print("triangulating... 1.5e-03s")
+print(f"  error = {{mesh.error:g}}")
+print(f"  points = {{len(mesh.vertices)}}")
+stl = np.zeros(len(mesh.triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("count", "<u2")])
+stl["corners"] = (mesh.vertices * [1, 1, float(options["-z"])])[mesh.triangles]
+with open(sys.argv[-1], "wb") as file:
+    file.write(bytes(80) + np.uint32(len(stl)).tobytes() + stl.tobytes())
+"""
+
+
+@pytest.fixture
+def fake_hmm(tmp_path):
+    path = tmp_path / "hmm"
+    path.write_text(FAKE_HMM)
+    path.chmod(0o755)
+    return str(path)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the stand-in is a script")
+def test_hmm_gets_the_heights_and_its_mesh_is_put_back_into_their_units(tmp_path, fake_hmm):
+    speed, hmm = script("speed"), script("hmm")
+    z = (hills(50, 70) - 250).astype(np.float32)
+    np.save(tmp_path / "z.npy", z)
+    hmm.write_png(z, tmp_path / "z.png")
+    job = {"heights": str(tmp_path / "z.npy"), "threads": 1, "hmm": fake_hmm, "errors": True}
+    for stop in ({"points": 120, "tolerance": None}, {"points": None, "tolerance": 5.0}):
+        found = speed.run({**job, "program": "hmm", **stop})
+        other = speed.run({**job, "program": "pydelatin", **stop})
+        assert found["seconds"] == 1.5e-3
+        assert found["missing"] == 0
+        # Hills are alike, so that the rounding to grey levels changes the order of insertion.
+        assert found["vertices"] == pytest.approx(other["vertices"], rel=0.1)
+        for key in ("next_error", "largest", "rmse"):
+            assert found[key] == pytest.approx(other[key], rel=0.15)
+    Path(fake_hmm).write_text(f"#!{sys.executable}\nprint('invalid heightmap file')\n")
+    with pytest.raises(SystemExit, match="invalid heightmap file"):
+        speed.run({**job, "program": "hmm", "points": 120, "tolerance": None})
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the stand-in is a script")
+def test_the_faster_peer_of_each_round_is_the_base(capsys, fake_hmm):
+    speed = script("speed")
+    own, peers = speed.Program("max", 2), (speed.Program("pydelatin"), speed.Program("hmm"))
+    runs = {
+        program: [{"seconds": second, "vertices": 9} for second in seconds]
+        for program, seconds in (
+            (own, (1.0, 2.0, 3.0)),
+            (peers[0], (2.0, 9.0, 9.0)),
+            (peers[1], (5.0, 5.0, 9.0)),
+        )
+    }
+    row = dict(zip(speed.HEADER, speed.row(own, runs, 10**9)))
+    assert row["program"] == "max, 2 threads"
+    assert (row["speed-up"], row["of the base's time"], row["of `max`'s time"]) == ("2.50", "0.40", "1.00")
+    assert (row["min s"], row["median s"], row["ns a pixel"]) == ("1.000", "2.000", "2")
+    row = dict(zip(speed.HEADER, speed.row(peers[0], runs, 10**9)))
+    assert (row["speed-up"], row["of `max`'s time"], row["MB more at peak"]) == ("1.00", "—", "—")
+    sizes = ["--size", "32", "--rounds", "1", "--percent", "3", "6", "--terrain", "smooth"]
+    speed.main([*sizes, "--methods", "max", "--hmm", fake_hmm])
+    shown = capsys.readouterr().out
+    assert shown.count("\n| hmm | ") == shown.count("\n| pydelatin | ") == shown.count("\n| max | ") == 4
+    assert "31 points (3 %)" in shown
+    assert "61 points (6 %)" in shown
+
+
+def test_threads_are_given_to_the_core_or_refused(capsys):
+    speed = script("speed")
+    arguments = ["--size", "32", "--rounds", "1", "--terrain", "smooth", "--methods", "max", "--threads", "2"]
+    if "threads" not in tin.options.BY_NAME:
+        with pytest.raises(SystemExit, match="no option for threads"):
+            speed.main(arguments)
+        return
+    speed.main(arguments)
+    assert capsys.readouterr().out.count("\n| max, 2 threads | ") == 2
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the writers run in forked processes")
+def test_writers():
+    command = [sys.executable, FOLDER / "writers.py", "--size", "60", "--percent", "4", "8", "--rounds", "1"]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert shown.count("| pyogrio's `raw.write` |") == shown.count("| UGRID |") == 2
+    assert "`dem2tin --help`: " in shown
+    assert shown.count("| GeoTIFF, 8 % | ") == 1
 
 
 @pytest.mark.parametrize(("name", "slope"), [("smooth", 3.0), ("rough", 2.2)])

@@ -5,7 +5,7 @@ import pyproj
 import pytest
 import shapely
 from fakes import FakeDEM, FakeTin, crs, grid_tin
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tin.formats.attributes import attributes
 
@@ -94,3 +94,11 @@ def test_degrees_give_square_metres(latitude):
     assert got["aspect"][0] == pytest.approx(180)
     tin.dem.vertical_unit = "foot"
     assert attributes(tin)["slope"][0] == pytest.approx(np.degrees(np.arctan(30 * 0.3048 / north)), rel=1e-5)
+
+
+def test_some_rows_have_what_they_have_among_all():
+    tin = grid_tin(crs=crs("EPSG:4326"), transform=(0.01, 0, -84.0, 0, -0.01, 36.0))
+    part, whole = attributes(tin, slice(50, 90)), attributes(tin)
+    assert part.keys() == whole.keys()
+    for name, column in part.items():
+        assert_array_equal(column, whole[name][50:90])

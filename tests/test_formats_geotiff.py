@@ -7,7 +7,7 @@ import rasterio
 from fakes import UTM, FakeCRS, crs, grid_tin
 from numpy.testing import assert_array_equal
 
-from tin.formats import write
+from tin.formats import geotiff, write
 
 
 @pytest.fixture
@@ -110,3 +110,13 @@ def test_old_overviews_and_statistics_go_with_the_old_file(path):
         path.with_name(path.name + suffix).write_text("stale")
     write(grid_tin(), path, overwrite=True)
     assert [file.name for file in path.parent.iterdir()] == ["out.tif"]
+
+
+def test_the_number_of_threads_changes_no_byte(path, monkeypatch):
+    tin = grid_tin(700, 900, crs=crs("EPSG:26710"))
+    write(tin, path)
+    many = path.read_bytes()
+    for threads in (1, 3):
+        monkeypatch.setitem(geotiff._PACKING, "num_threads", threads)
+        write(tin, path, overwrite=True)
+        assert path.read_bytes() == many

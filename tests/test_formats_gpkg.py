@@ -3,6 +3,7 @@ from __future__ import annotations
 import contextlib
 import re
 import sqlite3
+import weakref
 
 import fiona
 import geopandas
@@ -94,6 +95,45 @@ def test_nulls_of_some_rows_stay_theirs_over_several_batches(path, monkeypatch):
     null = query(path, "SELECT fid - 1 FROM tin WHERE max_error IS NULL")
     assert null == [(0,), (49,), (50,), (77,)]
     assert_array_equal(pyogrio.read_dataframe(path)["max_error"], tin.triangle_errors)
+
+
+def test_the_size_of_the_batches_shows_nowhere(path, monkeypatch):
+    tin = grid_tin()
+    write(tin, path)
+    whole = query(path, "SELECT * FROM tin")
+    monkeypatch.setattr(arrow, "_ROWS", 7)
+    write(tin, path, overwrite=True)
+    assert query(path, "SELECT * FROM tin") == whole
+
+
+@pytest.mark.parametrize("error", [MemoryError, KeyboardInterrupt])
+@pytest.mark.parametrize("row", [0, 100])
+def test_what_stops_a_batch_comes_through(path, monkeypatch, error, row):
+    def failing(tin, rows):
+        if rows.stop > row:
+            raise error
+        return attributes(tin, rows)
+
+    monkeypatch.setattr(arrow, "_ROWS", 50)
+    monkeypatch.setattr(gpkg, "attributes", failing)
+    with pytest.raises(error):
+        write(grid_tin(), path)
+    assert not list(path.parent.iterdir())
+
+
+def test_batches_that_were_read_take_no_memory(path, monkeypatch):
+    alive = []
+
+    def watched(tin, rows):
+        made = attributes(tin, rows)
+        alive.append(weakref.ref(made["slope"]))
+        assert sum(column() is not None for column in alive) <= 2
+        return made
+
+    monkeypatch.setattr(arrow, "_ROWS", 20)
+    monkeypatch.setattr(gpkg, "attributes", watched)
+    write(grid_tin(), path)
+    assert len(alive) > 10
 
 
 def test_without_a_crs_the_layer_is_undefined_cartesian(path):

@@ -315,6 +315,13 @@ def test_import_needs_numpy_alone():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+def test_the_package_has_all_its_names_and_no_others():
+    code = "import tin; names = dir(tin); from tin import *; print({*tin.__all__} - {*names}, DEM is tin.DEM)"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set() True\n"
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        _ = tin.nothing
+
+
 def test_to_geodataframe_holds_valid_polygons_with_the_crs():
     frame = tin.triangulate(dem(crs="EPSG:32610"), max_points=80).to_geodataframe()
     assert frame.crs.to_epsg() == 32610

@@ -9,12 +9,17 @@ mesh.write("x.gpkg")
 
 from __future__ import annotations
 
-from tin.crs import CRS
-from tin.dem import DEM
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from tin.errors import Cancelled, InputError, OptionError, OutputError, TinError
-from tin.metrics import Errors, Report
-from tin.reader import open  # noqa: A004 - the name the format libraries use, too
-from tin.tin import Tin, triangulate
+
+if TYPE_CHECKING:
+    from tin.crs import CRS
+    from tin.dem import DEM
+    from tin.metrics import Errors, Report
+    from tin.reader import open  # noqa: A004 - the name the format libraries use, too
+    from tin.tin import Tin, triangulate
 
 __version__ = "0.1.0"
 
@@ -32,3 +37,25 @@ __all__ = [
     "open",
     "triangulate",
 ]
+
+# Imported when first asked for: numpy takes longer to load than `dem2tin --help` may run.
+_HOMES = {
+    "CRS": "crs",
+    "DEM": "dem",
+    "Errors": "metrics",
+    "Report": "metrics",
+    "Tin": "tin",
+    "open": "reader",
+    "triangulate": "tin",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'tin' has no attribute {name!r}")
+    found = globals()[name] = getattr(importlib.import_module(f"tin.{_HOMES[name]}"), name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted(globals().keys() | _HOMES.keys())

@@ -77,16 +77,17 @@ class DEM:
         sources.check_size(data.shape[0], data.shape[1], None, name or "DEM")
         with np.errstate(all="ignore"):
             heights = np.array(data, dtype=sources.working_dtype(data.dtype.name), order="C")
-        void = ~np.isfinite(heights)
+        for rows in sources.blocks(*heights.shape):
+            block = heights[rows]
+            block[~np.isfinite(block)] = np.nan
         if isinstance(z, np.ma.MaskedArray):
-            void |= np.ma.getmaskarray(z)
+            heights[np.ma.getmaskarray(z)] = np.nan
         if valid is not None:
             if np.shape(valid) != data.shape:
                 raise InputError("bad-mask", f"valid is {np.shape(valid)}, the heights are {data.shape}")
-            void |= ~np.asarray(valid, dtype=bool)
+            heights[~np.asarray(valid, dtype=bool)] = np.nan
         self._fill(
             heights,
-            void,
             transform=transform,
             crs=CRS.parse(crs),
             vertical_unit=vertical_unit,
@@ -97,7 +98,6 @@ class DEM:
     def _fill(
         self,
         heights: Floats,
-        void: npt.NDArray[np.bool_],
         *,
         transform: Any,
         crs: CRS | None,
@@ -105,9 +105,8 @@ class DEM:
         nodata: float | None,
         name: str,
     ) -> None:
-        """Take ownership of the heights, put NaN into the voids, and check what is left."""
+        """Take ownership of the heights, NaN where void, and check them."""
         label = name or "DEM"
-        heights[void] = np.nan
         low, high = np.fmin.reduce(heights, axis=None), np.fmax.reduce(heights, axis=None)
         if np.isnan(low):
             raise InputError("all-nodata", f"{label}: every pixel is NoData, so there is no surface to model")
@@ -134,10 +133,13 @@ class DEM:
         low = np.fmin.reduce(self.z, axis=None)
         if float(low) not in USUAL_NODATA:
             return []
-        others = self.z[self.z > low]
-        if not len(others) or others.min() - low < MIN_GAP:
+        count, others = 0, math.inf
+        for rows in sources.blocks(self.rows, self.cols):
+            block = self.z[rows]
+            count += int(np.count_nonzero(block == low))
+            others = min(others, float(block[block > low].min(initial=np.inf)))
+        if not MIN_GAP <= others - low < math.inf:
             return []
-        count = np.count_nonzero(self.z == low)
         return [
             f"{count:,} pixels are {low:g}, far below all others: if that means NoData, declare it, "
             f"for example with gdal_edit.py -a_nodata {low:g}"
@@ -145,19 +147,21 @@ class DEM:
 
     @classmethod
     def _load(cls, source: Source, z_factor: float, max_pixels: int | None) -> DEM:
-        heights, void = sources.read(source, max_pixels)
+        heights = sources.read(source, max_pixels)
         transform, crs = sources.georeference(source)
         dem = cls.__new__(cls)
         dem._fill(
             heights,
-            void,
             transform=transform,
             crs=crs,
             vertical_unit=source.unit,
             nodata=source.nodata,
             name=source.name,
         )
-        return dem if z_factor == 1 else dem.scaled(z_factor)
+        if z_factor == 1:
+            return dem
+        heights.flags.writeable = True  # nobody else has the DEM, so that its heights can change in place
+        return dem._scaled(z_factor, heights)
 
     @classmethod
     def from_rasterio(cls, src: Any, band: int = 1, z_factor: float = 1.0, max_pixels: int = 2**31) -> DEM:
@@ -191,9 +195,12 @@ class DEM:
         Feet times 0.3048 are metres; a factor that leads to no known unit leaves the unit "". A vertical CRS
         that no longer holds is dropped. Raises OptionError ("bad-z-factor") for zero, NaN or infinity.
         """
+        return self._scaled(factor, np.empty_like(self.z))
+
+    def _scaled(self, factor: float, heights: Floats) -> DEM:
+        """Do what `scaled` does, with the memory of ``heights``."""
         if not (math.isfinite(factor) and factor != 0):
             raise OptionError("bad-z-factor", f"the z factor must be finite and not 0, but is {factor}")
-        heights = np.empty_like(self.z)
         with np.errstate(over="ignore", under="ignore"):
             np.multiply(self.z, factor, out=heights, dtype=np.float64, casting="same_kind")
         before = length_of_unit(self.vertical_unit)
@@ -203,7 +210,6 @@ class DEM:
         made = type(self).__new__(type(self))
         made._fill(
             heights,
-            ~self.valid,
             transform=self.transform,
             crs=crs,
             vertical_unit=unit,
@@ -237,7 +243,8 @@ class DEM:
     @cached_property
     def n_valid(self) -> int:
         """Number of pixels with a height."""
-        return int(np.count_nonzero(self.valid))
+        every = sources.blocks(self.rows, self.cols)
+        return sum(int(np.count_nonzero(~np.isnan(self.z[rows]))) for rows in every)
 
     def pixel_to_map(
         self, col: npt.ArrayLike, row: npt.ArrayLike

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any, Callable
@@ -16,6 +16,7 @@ import numpy.typing as npt
 from tin.crs import CRS
 from tin.errors import InputError
 
+BLOCK = 2**20  # pixels that are looked at together where masks of a whole DEM would take memory
 MAX_SIDE = 2**20  # what the core's exact predicates have bits for
 WARNING_FILTERS = threading.Lock()  # they belong to the whole process
 _ALL_VALID, _BY_VALUE = 1, 8  # GDAL's mask flags
@@ -185,8 +186,14 @@ def working_dtype(dtype: str) -> str:
     return "float32" if dtype in ("int8", "uint8", "int16", "uint16", "float16", "float32") else "float64"
 
 
-def read(source: Source, max_pixels: int | None) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Read the heights, scale and offset applied, as a new array, and where they are void."""
+def blocks(rows: int, cols: int) -> Iterator[slice]:
+    """Cut a grid into slices of whole rows, of BLOCK pixels or a little more."""
+    step = -(-BLOCK // cols)
+    return (slice(first, first + step) for first in range(0, rows, step))
+
+
+def read(source: Source, max_pixels: int | None) -> Array:
+    """Read the heights, scale and offset applied, as a new array with NaN where they are void."""
     if source.dtype.startswith("complex"):
         raise InputError("complex-data", f"{source.label}: complex numbers are no heights; take another band")
     if np.dtype(source.dtype).kind not in "iuf":
@@ -195,14 +202,17 @@ def read(source: Source, max_pixels: int | None) -> tuple[Array, npt.NDArray[np.
     is_scaled = (source.scale, source.offset) != (1, 0)
     try:
         heights = source.pixels("float64" if is_scaled else working_dtype(source.dtype))
-        void = _void(heights, source)
-        if source.mask is not None:
-            void |= source.mask() == 0
-        if is_scaled:
-            with np.errstate(all="ignore"):
-                heights *= source.scale
-                heights += source.offset
-            void |= np.isnan(heights)
+        mask = None if source.mask is None else source.mask()
+        for rows in blocks(source.rows, source.cols):
+            block = heights[rows]
+            void = _void(block, source)
+            if mask is not None:
+                void |= mask[rows] == 0
+            if is_scaled:
+                with np.errstate(all="ignore"):
+                    block *= source.scale
+                    block += source.offset
+            block[void] = np.nan
     except (MemoryError, OSError, RuntimeError) as error:
         why = reason(error)
         # GDAL tells of memory that it does not get for its own buffers as of any damage.
@@ -211,7 +221,7 @@ def read(source: Source, max_pixels: int | None) -> tuple[Array, npt.NDArray[np.
         else:
             code, what = "unreadable", f"damaged or incomplete ({why})"
         raise InputError(code, f"{source.label}: {what}") from error
-    return heights, void
+    return heights
 
 
 def _void(heights: Array, source: Source) -> npt.NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""What a GIS wants to know of each triangle, computed for all triangles at once."""
+"""What a GIS wants to know of each triangle, computed for many triangles at once."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ if TYPE_CHECKING:
 
     from tin.tin import Tin
 
+ALL = slice(None)
+
 # WGS 84; another ellipsoid changes an area by less than one part in a thousand.
 _SEMI_MAJOR = 6378137.0
 _ECCENTRICITY2 = 0.00669437999014
 
 
-def attributes(tin: Tin) -> dict[str, NDArray[Any]]:
-    """Return the columns that describe the m triangles, each an array of shape (m,).
+def attributes(tin: Tin, rows: slice = ALL) -> dict[str, NDArray[Any]]:
+    """Return the columns that describe the m triangles in ``rows``, each an array of shape (m,).
 
     ``v0 v1 v2``   int32: indices of the corners in ``tin.vertices``
     ``z_mean``     mean height of the corners, in the vertical unit
@@ -33,13 +35,14 @@ def attributes(tin: Tin) -> dict[str, NDArray[Any]]:
     Slope and surface area hold where vertical and horizontal units differ; an unknown vertical
     unit is taken for the horizontal one (metres for a geographic CRS).
     """
-    corners = tin.vertices[tin.triangles]
+    triangles = tin.triangles[rows]
+    corners = tin.vertices[triangles]
     nx, ny, nz = _normals(corners, _ground_scale(tin, corners))
     horizontal = np.hypot(nx, ny)
     aspect = np.degrees(np.arctan2(nx, ny)) % 360.0
     aspect[aspect == 360.0] = 0.0  # what % makes of a tiny negative angle
     aspect[horizontal == 0.0] = np.nan
-    v0, v1, v2 = tin.triangles.T.astype(np.int32)
+    v0, v1, v2 = triangles.T.astype(np.int32)
     return {
         "v0": v0,
         "v1": v1,
@@ -49,8 +52,8 @@ def attributes(tin: Tin) -> dict[str, NDArray[Any]]:
         "aspect": aspect,
         "area_2d": 0.5 * nz,
         "area_3d": 0.5 * np.hypot(horizontal, nz),
-        "max_error": np.asarray(tin.triangle_errors, np.float64),
-        "constraints": (tin.constrained @ np.array([1, 2, 4])).astype(np.int16),
+        "max_error": np.asarray(tin.triangle_errors[rows], np.float64),
+        "constraints": (tin.constrained[rows] @ np.array([1, 2, 4])).astype(np.int16),
     }
 
 

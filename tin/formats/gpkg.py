@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tin.formats.arrow import ColumnStream
-from tin.formats.attributes import area_unit, attributes
+from tin.formats.attributes import ALL, area_unit, attributes
 from tin.formats.common import crs_definition, title
 
 if TYPE_CHECKING:
@@ -40,15 +40,19 @@ def write(tin: Tin, path: Path) -> None:
     """
     from pyogrio import raw
 
-    columns = {**attributes(tin), "geom": polygons_wkb(tin)}
-    with _database(path, "tin", len(tin.triangles)) as plain:
-        raw.write_arrow(
-            ColumnStream(columns),
-            plain,
-            geometry_name="geom",
-            geometry_type="Polygon Z",
-            **_settings(tin, "tin", _description(tin)),
-        )
+    count = len(tin.triangles)
+    table = ColumnStream(count, lambda rows: {**attributes(tin, rows), "geom": polygons_wkb(tin, rows)})
+    with _database(path, "tin", count) as plain:
+        try:
+            raw.write_arrow(
+                table,
+                plain,
+                geometry_name="geom",
+                geometry_type="Polygon Z",
+                **_settings(tin, "tin", _description(tin)),
+            )
+        finally:
+            table.check()
 
 
 def write_outline(tin: Tin, path: Path) -> None:
@@ -98,14 +102,15 @@ def _database(path: Path, layer: str, rows: int) -> Iterator[Path]:
     plain.replace(path)
 
 
-def polygons_wkb(tin: Tin) -> NDArray[Any]:
-    """Return the m triangles as WKB polygons with z, an array (m,) of void items of 109 bytes."""
-    polygons = np.empty(len(tin.triangles), _POLYGON_Z)
+def polygons_wkb(tin: Tin, rows: slice = ALL) -> NDArray[Any]:
+    """Return the m triangles in ``rows`` as WKB polygons with z, an array (m,) of void items of 109 bytes."""
+    triangles = tin.triangles[rows]
+    polygons = np.empty(len(triangles), _POLYGON_Z)
     polygons["byte_order"] = 1
     polygons["type"] = 1003
     polygons["rings"] = 1
     polygons["points"] = 4
-    polygons["xyz"] = tin.vertices[tin.triangles[:, [0, 1, 2, 0]]]
+    polygons["xyz"] = tin.vertices[triangles[:, [0, 1, 2, 0]]]
     return polygons.view(f"V{_POLYGON_Z.itemsize}")
 
 
