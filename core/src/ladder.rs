@@ -81,6 +81,11 @@ impl<T: Height> Ladder<'_, T> {
         self.shared.count() + self.tiles.iter().map(Tile::inserted).sum::<usize>()
     }
 
+    /// Vertices of all tiles, those on seams counted in each.
+    fn vertices(&self) -> f64 {
+        self.tiles.iter().map(|tile| tile.refiner.count()).sum::<usize>() as f64
+    }
+
     fn largest_priority(&self) -> f64 {
         self.tiles.iter().fold(0.0, |most, tile| most.max(tile.refiner.largest_priority()))
     }
@@ -113,7 +118,8 @@ impl<T: Height> Ladder<'_, T> {
                 // All tiles and seams together must not take more than there is room for.
                 let share = (2.0 * (wanted / before - 1.0)).min(0.7 * room / before);
                 let slack = SLACK.min((0.15 * room / self.tiles.len() as f64) as usize);
-                let tile_room = |tile: &Tile| (share * tile.inserted() as f64) as usize + slack;
+                let share = share * before / self.vertices();
+                let tile_room = |tile: &Tile| (share * tile.refiner.count() as f64) as usize + slack;
                 self.descend(next, tile_room, (0.15 * room) as usize, progress)?;
             } else {
                 self.try_out(next, max_points - count, progress)?;
@@ -153,11 +159,11 @@ impl<T: Height> Ladder<'_, T> {
         let points = self.refine_seams(level, left / 8);
         let left = left.saturating_sub(points.iter().map(Vec::len).sum::<usize>() / 2);
         let (grid, rule, tiling) = (self.grid, self.rule, self.tiling);
-        let share = 4.0 * left as f64 / self.count() as f64;
+        let share = 4.0 * left as f64 / self.vertices();
         let trials = spread(progress, self.tiles.iter_mut().zip(points), |(tile, points), progress| {
             let mut patch = tile.prepare(grid, rule, tiling, &points, progress)?;
             let mut copy = tile.refiner.clone();
-            let room = (share * tile.inserted() as f64) as usize + SLACK;
+            let room = (share * tile.refiner.count() as f64) as usize + SLACK;
             let goal = Goal { points: copy.count() + room, level };
             let (mut history, mut lowest) = (Vec::new(), f64::INFINITY);
             let reached = copy.refine(grid, &mut patch, rule, goal, progress, |priority| {
