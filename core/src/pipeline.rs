@@ -8,12 +8,13 @@ use crate::grid::{Grid, Height};
 use crate::measure::count_covered;
 use crate::memory;
 use crate::mesh::Mesh;
+use crate::noise::{noise, spikes, MAX_SAMPLES};
 use crate::order::{by_place, scramble};
 use crate::outline::Shape;
 use crate::predicate::Metric;
 use crate::progress::Progress;
 use crate::refine::{Refiner, Rule, Stop};
-use crate::scale::{choose, gaussian, noise, noise_left, spikes, MAX_SAMPLES};
+use crate::scale::{choose, gaussian, noise_left};
 use crate::surface::Surface;
 use std::borrow::Cow;
 
