@@ -39,4 +39,5 @@ pub mod sieve;
 pub mod simplify;
 pub mod surface;
 pub mod threads;
+mod top;
 pub mod triangle;
