@@ -57,8 +57,9 @@ impl<'m> Bands<'m> {
         band * BAND..((band + 1) * BAND).min(self.rows)
     }
 
-    /// Calls `visit(t)`, which says how much work it was, for the triangles that meet `rows`, the last first: a caller
-    /// who overwrites leaves, where triangles meet, what the first one says.
+    /// Calls `visit(t)`, which says how much work it was, for the triangles that meet `rows`,
+    /// the last first: a caller who overwrites leaves, where triangles meet, what the first
+    /// one says.
     fn for_each(
         &self,
         rows: &Range<usize>,
