@@ -217,13 +217,16 @@ def test_overwrite_replaces_and_quiet_is_quiet(tmp_path):
     assert (tmp_path / "x.obj").read_text().startswith("#")
 
 
-def test_interrupt_ends_with_130_and_leaves_nothing(tmp_path):
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_interrupt_ends_with_130_and_leaves_nothing(tmp_path, threads):
     big = tmp_path / "big.tif"
     profile = {"driver": "GTiff", "width": 3000, "height": 3000, "count": 1, "dtype": "float32"}
     transform = rasterio.Affine(30.0, 0.0, 0.0, 0.0, -30.0, 0.0)
     with rasterio.open(big, "w", transform=transform, crs="EPSG:32610", **profile) as file:
         file.write(hills(3000, 3000).astype("float32"), 1)
-    process = subprocess.Popen(command(big, tmp_path / "x.gpkg"), stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command(big, tmp_path / "x.gpkg", "--threads", threads), stderr=subprocess.PIPE, text=True
+    )
     time.sleep(2.0)
     process.send_signal(signal.SIGINT)
     asked = time.perf_counter()

@@ -33,6 +33,8 @@ from tin import options
         ("despike", False, False),
         ("z_factor", "-0.3048", -0.3048),
         ("method", "MEDIAN", "median"),
+        ("threads", " Auto", "auto"),
+        ("threads", "3", 3),
         ("to_crs", " UTM", "utm"),
         ("to_crs", "EPSG:26710", tin.CRS.parse("EPSG:26710")),
     ],
@@ -64,6 +66,10 @@ def test_values_are_understood_as_text_and_as_python(name, value, parsed):
         ("scales", ",".join(["1"] * 99)),
         ("points_per_scale", 0),
         ("flips", -1),
+        ("threads", 0),
+        ("threads", 1.5),
+        ("threads", "all"),
+        ("threads", 10**9),
         ("band", 0),
         ("z_factor", 0),
         ("z_factor", "nan"),
@@ -107,6 +113,12 @@ def test_points_default_to_five_percent_and_to_no_limit_with_a_tolerance():
     auto = options.core_arguments({"max_points": "auto"}, source)
     assert auto["max_points"] is None
     assert auto["stop_at_noise"] is True
+
+
+def test_threads_are_all_there_are_unless_told_otherwise():
+    assert options.core_arguments({}, dem())["threads"] is None
+    assert options.core_arguments({"threads": "auto"}, dem())["threads"] is None
+    assert options.core_arguments({"threads": 3}, dem())["threads"] == 3
 
 
 def test_scales_take_ground_units():

@@ -39,7 +39,9 @@ class Mesh:
     @property
     def metric(self) -> tuple[int, int, int]: ...
 
-def gaussian(z: npt.NDArray[np.float64], sigma: tuple[float, float]) -> npt.NDArray[np.float64]:
+def gaussian(
+    z: npt.NDArray[np.float64], sigma: tuple[float, float], threads: int | None = None
+) -> npt.NDArray[np.float64]:
     """The image at scale t = sigma^2 (Gaussian, sigma = (x, y) in pixels; voids are NaN)."""
 
 def triangulate(
@@ -67,6 +69,11 @@ def triangulate(
     lines: list[npt.NDArray[np.float64]],
     clip: list[list[npt.NDArray[np.float64]]] | None,
     flat: list[tuple[list[npt.NDArray[np.float64]], float]],
+    tile: int,
+    threads: int | None = None,
     progress: Callable[[str, float], Any] | None = None,
 ) -> Mesh:
-    """Triangulates a raster; see tin.triangulate. Vertices are (n, 3): column, row, height or NaN."""
+    """Triangulates a raster; see tin.triangulate. Vertices are (n, 3): column, row, height or NaN.
+
+    Threads: None for as many as this process may use CPUs; the mesh is measured by as many.
+    """

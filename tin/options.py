@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from tin import values
 from tin.errors import OptionError
-from tin.values import MIN_POINTS, NOISE_STOP, Distance, Share
+from tin.values import ALL_CPUS, MIN_POINTS, NOISE_STOP, Distance, Share
 
 if TYPE_CHECKING:
     from tin.dem import DEM
@@ -189,6 +189,24 @@ OPTIONS: tuple[Option, ...] = (
         advanced=True,
     ),
     Option(
+        "tile",
+        values.tile,
+        "refine large DEMs in tiles of this side in pixels, with seams that the TIN does not show; 0: in one "
+        "piece",
+        default=512,
+        metavar="PIXELS",
+        advanced=True,
+    ),
+    Option(
+        "threads",
+        values.threads,
+        "run on N threads, or (auto) on as many as this process may use CPUs; the TIN is the same, "
+        "byte for byte",
+        default=ALL_CPUS,
+        metavar="N|auto",
+        advanced=True,
+    ),
+    Option(
         "breaklines",
         values.layer,
         "vector file of lines that become edges of the TIN; lines with heights keep them, the others take "
@@ -333,4 +351,6 @@ def core_arguments(values: Mapping[str, Any], dem: DEM) -> dict[str, Any]:
         "outline_tolerance": min(options["outline_tolerance"].in_pixels_of(dem)),
         "keep_isolated": options["keep_isolated"],
         "sieve": options["sieve"],
+        "tile": options["tile"],
+        "threads": None if options["threads"] == ALL_CPUS else options["threads"],
     }

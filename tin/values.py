@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 MIN_POINTS = 4
 MAX_POINTS = 2**29  # the core numbers edges, six a vertex, in 32 bits
 NOISE_STOP = "auto"
+ALL_CPUS = "auto"
+MAX_THREADS = 1024
+MIN_TILE = 64  # pixels; smaller ones would be mostly seam
+MAX_SIDE = 2**20  # pixels, of the core's lattice
 MAX_SCALES = 32
 MAX_SIGMA = 100.0  # pixels; the core refuses more
 
@@ -87,6 +91,21 @@ def points(value: Any) -> int | Share | str:
             raise ValueError("0% leaves no points; give more than that")
         return Share(percent)
     return whole(value, MIN_POINTS, MAX_POINTS)
+
+
+def threads(value: Any) -> int | str:
+    """A number of threads, or "auto"."""
+    if isinstance(value, str) and value.strip().lower() == ALL_CPUS:
+        return ALL_CPUS
+    return whole(value, 1, MAX_THREADS)
+
+
+def tile(value: Any) -> int:
+    """The side of a tile in pixels, or 0."""
+    side = whole(value, 0, MAX_SIDE)
+    if 0 < side < MIN_TILE:
+        raise ValueError(f"tiles are at least {MIN_TILE} pixels wide (0: no tiles)")
+    return side
 
 
 def distance(value: Any) -> Distance:

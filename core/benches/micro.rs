@@ -38,7 +38,9 @@ fn heights<T: Height>(grid: &Grid<T>, p: [Point; 3]) -> [f64; 3] {
     p.map(|q| q.as_pixel().map_or(f64::NAN, |(col, row)| grid.at(col, row)))
 }
 
-const VECTORS: [(&str, fn() -> Vectors); 2] = [("plain", || Vectors::Plain), ("best", Vectors::best)];
+fn all_vectors() -> [(&'static str, Vectors); 2] {
+    [("plain", Vectors::Plain), ("best", Vectors::best())]
+}
 
 fn scan(c: &mut Criterion) {
     let z = terrain(SIZE);
@@ -50,8 +52,7 @@ fn scan(c: &mut Criterion) {
         let facets = || triangles.iter().map(|&(p, z)| Facet::new(&patch, black_box(p), z));
         let mut group = c.benchmark_group(format!("scan/{name}"));
         group.throughput(Throughput::Elements(facets().map(|facet| facet.pixels() as u64).sum()));
-        for (kind, vectors) in VECTORS {
-            let vectors = vectors();
+        for (kind, vectors) in all_vectors() {
             group.bench_function(format!("worst/{kind}"), |b| {
                 b.iter(|| facets().map(|facet| facet.worst(&patch, vectors).place).sum::<usize>())
             });
@@ -72,8 +73,7 @@ fn selection(c: &mut Criterion) {
     for n in [8, 32, 128, 1024, 16384] {
         let mut group = c.benchmark_group(format!("selection/{n}"));
         group.throughput(Throughput::Elements(ERRORS));
-        for (kind, vectors) in VECTORS {
-            let vectors = vectors();
+        for (kind, vectors) in all_vectors() {
             let mut median = |list: &[f32]| selector.nth(list, quantile_index(n, 0.5), vectors);
             group.bench_function(kind, |b| b.iter(|| errors.chunks_exact(n).map(&mut median).sum::<f32>()));
         }

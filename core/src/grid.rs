@@ -2,9 +2,10 @@
 
 use crate::error::{Error, Result};
 use crate::predicate::{Point, MAX_SIDE, SUB_BITS, UNIT};
+use std::ops::Sub;
 
-/// A sample type of the raster; arithmetic is always done in `f64`.
-pub trait Height: Copy + Send + Sync + 'static {
+/// A sample type of the raster; arithmetic whose rounding matters is done in `f64`.
+pub trait Height: Copy + PartialOrd + Sub<Output = Self> + Send + Sync + 'static {
     fn to_f64(self) -> f64;
     fn from_f64(value: f64) -> Self;
 }

@@ -49,7 +49,7 @@ pub fn refine<T: Height>(
         return Ok((refiner.surface, stop));
     }
     let seams = Seams::new(&surface, tiling);
-    let (shared, tiles) = cut(surface, tiling);
+    let (shared, tiles) = cut(surface, tiling)?;
     let mut ladder = Ladder { shared, tiles, seams, tiling, grid, rule };
     let stop = if max_points >= grid.rows() * grid.cols() {
         ladder.descend(f64::NEG_INFINITY, |_| usize::MAX, usize::MAX, progress)?;
@@ -57,7 +57,7 @@ pub fn refine<T: Height>(
     } else {
         ladder.count_down(max_points, progress)?
     };
-    Ok((merge(ladder.shared, ladder.tiles), stop))
+    Ok((merge(ladder.shared, ladder.tiles)?, stop))
 }
 
 struct Ladder<'a, T> {

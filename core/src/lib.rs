@@ -1,7 +1,7 @@
 //! Exact incremental Delaunay refinement of digital elevation models.
 //!
 //! Modules, each using only those above it: `predicate`, `grid`, `mesh` (`check`,
-//! `constrain`), `scan`, `scale`, `outline`, `queue`, `refine`, `fit`, `pipeline`;
+//! `constrain`), `scan`, `noise`, `scale`, `outline`, `queue`, `refine`, `fit`, `pipeline`;
 //! `python` is the binding.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
@@ -22,6 +22,7 @@ pub mod locate;
 pub mod measure;
 pub mod memory;
 pub mod mesh;
+pub mod noise;
 pub mod order;
 pub mod outline;
 pub mod patch;
@@ -43,4 +44,5 @@ pub mod surface;
 pub mod threads;
 pub mod tiles;
 pub mod tiling;
+mod top;
 pub mod triangle;

@@ -50,19 +50,35 @@ impl Patch {
             }
             (low, high) = (low.min(least), high.max(most));
         }
-        // Heights around zero are taken as they are: nothing is rounded then.
+        // Over the lowest one, so that it does not matter how high all of it lies; if that
+        // rounds, as they are or over a height that takes nothing from single precision.
         let middle = 0.5 * (low + high);
         let is_far = middle.abs() > high - low;
-        let reference = if is_far && middle.is_finite() { f64::from(middle as f32) } else { 0.0 };
+        let coarse = if is_far && middle.is_finite() { f64::from(middle as f32) } else { 0.0 };
+        let low = if low.is_finite() { low } else { 0.0 };
         let mut z = vec![f32::NAN; stride * rows + LANES];
-        let mut is_exact = true;
-        for (into, r) in z.chunks_exact_mut(stride).zip(row..) {
-            for (into, height) in into.iter_mut().zip(heights(r)) {
-                let shifted = height.to_f64() - reference;
-                *into = shifted as f32;
-                is_exact &= f64::from(*into) + reference == height.to_f64() || shifted.is_nan();
+        let mut fill = |reference: f64, may_round: bool| {
+            let mut is_exact = true;
+            for (into, r) in z.chunks_exact_mut(stride).zip(row..row + rows) {
+                for (into, height) in into.iter_mut().zip(heights(r)) {
+                    let shifted = height.to_f64() - reference;
+                    *into = shifted as f32;
+                    is_exact &= f64::from(*into) + reference == height.to_f64() || shifted.is_nan();
+                }
+                if !(is_exact || may_round) {
+                    return false;
+                }
             }
-        }
+            is_exact
+        };
+        let (reference, is_exact) = if fill(low, false) {
+            (low, true)
+        } else if fill(coarse, false) {
+            (coarse, true)
+        } else {
+            fill(low, true);
+            (low, false)
+        };
         Ok(Patch { z, stride, window, reference, is_exact })
     }
 

@@ -19,12 +19,20 @@ use numpy::{Element, IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonly
 use pyo3::exceptions::{PyRuntimeError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::num::NonZeroUsize;
+use std::thread;
 
-/// Runs `work` without the GIL; its progress goes to `callback` (or nowhere), and
-/// Ctrl-C, a false answer or an exception of the callback stop it.
+/// That many, or as many as this process may use processors.
+fn count(threads: Option<NonZeroUsize>) -> usize {
+    threads.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get)
+}
+
+/// Runs `work` without the GIL, on up to `threads` threads; its progress goes to `callback`
+/// (or nowhere), and Ctrl-C, a false answer or an exception of the callback stop it.
 fn detached<R: Send>(
     py: Python<'_>,
     callback: Option<Py<PyAny>>,
+    threads: usize,
     work: impl Send + FnOnce(&mut Progress) -> Result<R, Error>,
 ) -> PyResult<R> {
     let mut raised: Option<PyErr> = None;
@@ -41,7 +49,7 @@ fn detached<R: Send>(
                 })
             })
         };
-        work(&mut Progress::new(&mut report))
+        work(&mut Progress::new(&mut report).with_threads(threads))
     });
     match (result, raised) {
         (Ok(value), None) => Ok(value),
@@ -84,10 +92,12 @@ struct Mesh {
     /// Output number of each vertex that such a triangle uses.
     numbers: Vec<u32>,
     points: usize,
+    /// How many threads measure it.
+    threads: usize,
 }
 
 impl Mesh {
-    fn new(done: pipeline::Triangulation, rows: usize, cols: usize) -> Self {
+    fn new(done: pipeline::Triangulation, rows: usize, cols: usize, threads: usize) -> Self {
         let pipeline::Triangulation { surface: Surface { mesh, z, .. }, report } = done;
         let kept: Vec<u32> =
             (0..mesh.triangles().len() as u32).filter(|&t| !mesh.triangle(t).is_void()).collect();
@@ -100,7 +110,7 @@ impl Mesh {
             *number = points as u32;
             points += 1;
         }
-        Mesh { mesh, z, rows, cols, report, kept, numbers, points }
+        Mesh { mesh, z, rows, cols, report, kept, numbers, points, threads }
     }
 
     fn used(&self) -> impl Iterator<Item = usize> + '_ {
@@ -114,7 +124,7 @@ impl Mesh {
         callback: Option<Py<PyAny>>,
     ) -> PyResult<(Bound<'py, PyDict>, Bound<'py, PyArray1<f64>>)> {
         let (rows, cols) = (self.rows, self.cols);
-        let (errors, largest) = detached(py, callback, |progress| {
+        let (errors, largest) = detached(py, callback, self.threads, |progress| {
             progress.stage("measure")?;
             measure::errors(&self.mesh, &self.z, &Grid::new(z, rows, cols)?, progress)
         })?;
@@ -141,8 +151,9 @@ impl Mesh {
 
     fn raster_of<'py, T: Height + Element>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<T>>> {
         let (rows, cols) = (self.rows, self.cols);
-        let surface: Vec<T> =
-            detached(py, None, |progress| measure::rasterise(&self.mesh, &self.z, rows, cols, progress))?;
+        let surface: Vec<T> = detached(py, None, self.threads, |progress| {
+            measure::rasterise(&self.mesh, &self.z, rows, cols, progress)
+        })?;
         surface.into_pyarray(py).reshape([rows, cols])
     }
 }
@@ -270,7 +281,7 @@ fn polygon(rings: &Rings<'_>) -> PyResult<Polygon> {
 #[pyfunction]
 #[pyo3(signature = (z, metric, *, max_points, is_share, points_per_scale, priority, weight, candidate, tolerance, bound,
                     stop_at_noise, scales, despike, fit, flips, outline_tolerance, keep_isolated, sieve,
-                    pixels, points, lines, clip, flat, progress=None))]
+                    pixels, points, lines, clip, flat, tile, threads=None, progress=None))]
 #[allow(clippy::too_many_arguments)]
 fn triangulate(
     py: Python<'_>,
@@ -297,6 +308,8 @@ fn triangulate(
     lines: Vec<PyReadonlyArray2<'_, f64>>,
     clip: Option<Vec<Rings<'_>>>,
     flat: Vec<(Rings<'_>, f64)>,
+    tile: usize,
+    threads: Option<NonZeroUsize>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Mesh> {
     let constraints = Constraints {
@@ -319,10 +332,11 @@ fn triangulate(
         flips,
         shape: Shape { tolerance: outline_tolerance, keep_isolated, sieve },
         constraints,
+        tile,
     };
     match &z {
-        Heights::Single(z) => run(py, z, metric, options, progress),
-        Heights::Double(z) => run(py, z, metric, options, progress),
+        Heights::Single(z) => run(py, z, metric, options, count(threads), progress),
+        Heights::Double(z) => run(py, z, metric, options, count(threads), progress),
     }
 }
 
@@ -331,35 +345,38 @@ fn run<T: Height + Element>(
     z: &PyReadonlyArray2<'_, T>,
     (e, f, g): (f64, f64, f64),
     options: Options,
+    threads: usize,
     callback: Option<Py<PyAny>>,
 ) -> PyResult<Mesh> {
     let [rows, cols] = *z.as_array().shape() else {
         return Err(PyTypeError::new_err("heights must have two dimensions"));
     };
     let heights = z.as_slice()?;
-    detached(py, callback, |progress| {
+    detached(py, callback, threads, |progress| {
         let grid = Grid::new(heights, rows, cols)?;
         let metric = Metric::from_form(e, f, g, rows.max(cols))
             .ok_or_else(|| Error::input("bad-transform", "the geotransform is singular"))?;
         let done = pipeline::triangulate(&grid, metric, &options, progress)?;
         // For the arrays of the result.
         memory::ensure(128 * done.surface.z.len())?;
-        Ok(Mesh::new(done, rows, cols))
+        Ok(Mesh::new(done, rows, cols, threads))
     })
 }
 
 /// The image at scale t = sigma^2 (Gaussian, `sigma` = (x, y) in pixels; voids are NaN).
 #[pyfunction]
+#[pyo3(signature = (z, sigma, threads=None))]
 fn gaussian<'py>(
     py: Python<'py>,
     z: PyReadonlyArray2<'py, f64>,
     sigma: (f64, f64),
+    threads: Option<NonZeroUsize>,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let [rows, cols] = *z.as_array().shape() else {
         return Err(PyTypeError::new_err("heights must have two dimensions"));
     };
     let heights = z.as_slice()?;
-    let smooth = detached(py, None, |progress| {
+    let smooth = detached(py, None, count(threads), |progress| {
         let grid = Grid::new(heights, rows, cols)?;
         Ok(scale::gaussian(&grid, [sigma.0, sigma.1], progress)?.into_owned())
     })?;

@@ -36,6 +36,11 @@ pub struct Rule {
 }
 
 impl Rule {
+    /// Garland and Heckbert's: nothing but the worst pixel counts.
+    fn is_max(&self) -> bool {
+        [self.priority, self.candidate, self.bound] == [1.0; 3] && self.weight == 0.0
+    }
+
     /// How urgent a triangle of so many pixels is, whose errors have this quantile `priority`
     /// and this maximum.
     pub fn priority_of(&self, quantile: f64, worst: f64, pixels: f64) -> f64 {
@@ -179,6 +184,10 @@ impl Refiner {
         progress: &mut Progress,
     ) -> Result<()> {
         let is_large = patch.z().len() > EXACT_PIXELS;
+        if !rule.is_max() {
+            // For the errors of a triangle that covers all of it, while their lists grow.
+            memory::ensure(32 * patch.z().len())?;
+        }
         self.queue = Queue::new(is_large.then_some(patch.stride() as u32));
         for t in 0..self.surface.mesh.triangles().len() as u32 {
             let work = self.enqueue(grid, patch, rule, t);
@@ -283,8 +292,7 @@ impl Refiner {
         let version = triangle.version;
         let (p, z) = (self.surface.mesh.corners(t), self.surface.heights(t));
         let facet = Facet::new(patch, p, z);
-        let is_max = rule.priority == 1.0 && rule.candidate == 1.0 && rule.bound == 1.0 && rule.weight == 0.0;
-        let (ranked, work) = if is_max {
+        let (ranked, work) = if rule.is_max() {
             (self.rank_by_worst(grid, patch, rule, &facet), 1)
         } else {
             (self.rank(grid, patch, rule, &facet), 4)

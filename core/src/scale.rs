@@ -1,117 +1,16 @@
-//! Noise, spikes and the Gaussian scale space; voids neither darken nor leak.
+//! The Gaussian scale space; voids neither darken nor leak.
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
 use crate::memory;
+use crate::noise::{stride, MAX_SAMPLES};
 use crate::progress::Progress;
+use crate::threads::spread;
 use std::borrow::Cow;
 use std::ops::Range;
 
 /// Gaussian kernels are cut off at this many standard deviations.
 const TRUNCATE: f64 = 4.0;
-/// The largest number of samples a robust statistic looks at.
-pub const MAX_SAMPLES: usize = 1 << 20;
-/// sigma = 1.4826 MAD for normally distributed errors.
-const MAD_TO_SIGMA: f64 = 1.4826;
-
-/// Standard deviation of the noise: 1.4826 times the median of
-/// |[1 -2 1] x [1 -2 1]| / 6 over pixels with a complete neighbourhood
-/// (Immerkaer 1996, made robust). 0 where there is no such pixel.
-pub fn noise<T: Height>(grid: &Grid<T>) -> f64 {
-    let step = grid.z().len().div_ceil(MAX_SAMPLES);
-    let mut residuals = Vec::new();
-    for row in (1..grid.rows() - 1).step_by(step) {
-        let [a, b, c] = [grid.row(row - 1), grid.row(row), grid.row(row + 1)];
-        for col in 1..grid.cols() - 1 {
-            let second = |r: &[T]| r[col - 1].to_f64() - 2.0 * r[col].to_f64() + r[col + 1].to_f64();
-            let residual = second(a) - 2.0 * second(b) + second(c);
-            if !residual.is_nan() {
-                residuals.push(residual.abs());
-            }
-        }
-    }
-    MAD_TO_SIGMA / 6.0 * median(&mut residuals).unwrap_or(0.0)
-}
-
-fn median(values: &mut [f64]) -> Option<f64> {
-    quantile(values, 0.5)
-}
-
-fn quantile(values: &mut [f64], q: f64) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let index = ((values.len() - 1) as f64 * q) as usize;
-    Some(*values.select_nth_unstable_by(index, f64::total_cmp).1)
-}
-
-/// Differences below this share of the range of the heights are never spikes.
-const SPIKE_FLOOR: f64 = 2e-3;
-/// A spike needs this many valid neighbours to be recognised.
-const MIN_NEIGHBOURS: usize = 5;
-/// With this many of the eight neighbours two opposite pairs are complete.
-const MIN_PAIRED: usize = 6;
-
-/// Pixels that stand out of their neighbourhood, with the height they get.
-///
-/// A pixel is a spike if it lies outside the second smallest and second largest of
-/// its neighbours by more than half their spread plus max(4 `noise`, a floor); it
-/// takes the neighbours' median.
-pub fn spikes<T: Height>(grid: &Grid<T>, noise: f64, progress: &mut Progress) -> Result<Vec<(usize, T)>> {
-    let step = grid.z().len().div_ceil(MAX_SAMPLES);
-    let mut sample: Vec<f64> =
-        grid.z().iter().step_by(step).map(|z| z.to_f64()).filter(|z| !z.is_nan()).collect();
-    let high = quantile(&mut sample, 0.99).unwrap_or(0.0);
-    let low = quantile(&mut sample, 0.01).unwrap_or(0.0);
-    let margin = (4.0 * noise).max(SPIKE_FLOOR * (high - low));
-    let mut found = Vec::new();
-    let mut around = Vec::with_capacity(8);
-    for row in 0..grid.rows() {
-        progress.poll(4 * grid.cols(), || row as f64 / grid.rows() as f64)?;
-        for col in 0..grid.cols() {
-            let z = grid.at(col, row);
-            if z.is_nan() || !stands_out(grid, col, row, z, margin) {
-                continue;
-            }
-            neighbours(grid, col, row, &mut around);
-            if around.len() < MIN_NEIGHBOURS {
-                continue;
-            }
-            around.sort_unstable_by(f64::total_cmp);
-            // On the border the second smallest may still be on the near side of a ramp.
-            let rank = usize::from(around.len() >= MIN_PAIRED);
-            let (low, high) = (around[rank], around[around.len() - 1 - rank]);
-            if (z - high).max(low - z) > 0.5 * (high - low) + margin {
-                let n = around.len();
-                let middle = 0.5 * (around[(n - 1) / 2] + around[n / 2]);
-                found.push((row * grid.cols() + col, T::from_f64(middle)));
-            }
-        }
-    }
-    Ok(found)
-}
-
-/// Cheap necessary condition: a spike differs by more than `margin` from at least
-/// one of its neighbours along the row and one along the column.
-fn stands_out<T: Height>(grid: &Grid<T>, col: usize, row: usize, z: f64, margin: f64) -> bool {
-    // A void on one side does not hide a spike.
-    let differs = |c: usize, r: usize| grid.at(c, r).is_nan() || (grid.at(c, r) - z).abs() > margin;
-    (col == 0 || differs(col - 1, row) || col + 1 == grid.cols() || differs(col + 1, row))
-        && (row == 0 || differs(col, row - 1) || row + 1 == grid.rows() || differs(col, row + 1))
-}
-
-fn neighbours<T: Height>(grid: &Grid<T>, col: usize, row: usize, into: &mut Vec<f64>) {
-    into.clear();
-    for r in row.saturating_sub(1)..=(row + 1).min(grid.rows() - 1) {
-        for c in col.saturating_sub(1)..=(col + 1).min(grid.cols() - 1) {
-            let z = grid.at(c, r);
-            if (c, r) != (col, row) && !z.is_nan() {
-                into.push(z);
-            }
-        }
-    }
-}
-
 /// Sampled Gaussian of standard deviation `sigma` pixels, sum 1.
 fn kernel(sigma: f64) -> Vec<f64> {
     let radius = (TRUNCATE * sigma + 0.5) as i64;
@@ -148,91 +47,204 @@ pub fn gaussian<'a, T: Height>(
         return Ok(Cow::Borrowed(grid.z()));
     }
     memory::ensure(size_of_val(grid.z()))?;
-    let [kx, ky] = sigma.map(kernel);
-    let (rx, ry) = (kx.len() / 2, ky.len() / 2);
-    let (rows, cols) = (grid.rows(), grid.cols());
-    // Moments over the rows around, with `rx` columns of nothing on either side.
-    let mut moments = [(); 5].map(|()| vec![0.0; cols + 2 * rx]);
-    let mut line = vec![(0.0, 0.0); cols];
-    let mut cut_off = Vec::new();
-    let mut smooth = Vec::with_capacity(grid.z().len());
-    for row in 0..rows {
-        let fraction = row as f64 / rows as f64;
-        let near = row.saturating_sub(ry)..(row + ry + 1).min(rows);
-        let [mass, sum, ..] = &mut moments;
-        mass[rx..rx + cols].fill(0.0);
-        sum[rx..rx + cols].fill(0.0);
-        for r in near.clone() {
-            progress.poll(cols / 2, || fraction)?;
-            let w = ky[r + ry - row];
-            let into = mass[rx..rx + cols].iter_mut().zip(&mut sum[rx..rx + cols]);
-            for ((mass, sum), z) in into.zip(grid.row(r)) {
-                let z = z.to_f64();
-                let known = !z.is_nan();
-                *mass += if known { w } else { 0.0 };
-                *sum += if known { w * z } else { 0.0 };
-            }
-        }
-        line.fill((0.0, 0.0));
-        for (shift, &w) in kx.iter().enumerate() {
-            let from = mass[shift..shift + cols].iter().zip(&sum[shift..shift + cols]);
-            for (into, (mass, sum)) in line.iter_mut().zip(from) {
-                into.0 += w * mass;
-                into.1 += w * sum;
-            }
-        }
-        progress.poll(cols * kx.len() / 2, || fraction)?;
-        let start = smooth.len();
-        cut_off.clear();
-        for (col, (&z, &(mass, sum))) in grid.row(row).iter().zip(&line).enumerate() {
-            let is_void = z.to_f64().is_nan();
-            smooth.push(if is_void { z } else { T::from_f64(sum / mass) });
-            if mass <= COMPLETE && !is_void {
-                cut_off.push(col);
-            }
-        }
-        if let (Some(&first), Some(&last)) = (cut_off.first(), cut_off.last()) {
-            let columns = first.saturating_sub(rx)..(last + rx + 1).min(cols);
-            progress.poll((columns.len() * ky.len() + cut_off.len() * kx.len()) / 2, || fraction)?;
-            slope_moments(grid, row, near, columns, &ky, &mut moments);
-            for &col in &cut_off {
-                if let Some(z) = local_plane(&moments, col, &kx, &ky) {
-                    smooth[start + col] = T::from_f64(z);
-                }
-            }
-        }
-    }
+    let kernels = sigma.map(kernel);
+    let mut smooth = grid.z().to_vec();
+    let bands = smooth.chunks_mut(BAND * grid.cols()).enumerate();
+    spread(progress, bands, |(band, into), progress| {
+        Smoother::new(grid, &kernels).rows(band * BAND, into, progress)
+    })?;
     Ok(Cow::Owned(smooth))
 }
 
-/// A kernel that finds more than this share of its weight is not cut off by a void
-/// or the border.
-const COMPLETE: f64 = 1.0 - 1e-9;
-/// Smallest determinant of the moments, relative to those of a complete kernel, for
-/// which a plane is fitted.
-const LEAST_SPREAD: f64 = 1e-3;
+/// Rows that one thread smooths at a time.
+const BAND: usize = 32;
+/// Columns smoothed together: few enough for all their sums to stay in the fastest memory,
+/// and many times the radius of the kernel, because the sums over rows reach beyond by that.
+const STRIP: usize = 256;
+const RADII_A_STRIP: usize = 16;
 
-/// Puts the moments w dy, w dy^2 and w dy z of the rows `near` into the last three
-/// `moments`, for `columns`.
-fn slope_moments<T: Height>(
+struct Smoother<'g, T> {
+    grid: &'g Grid<'g, T>,
+    kx: &'g [f64],
+    ky: &'g [f64],
+    /// Of w, w z, w dy, w dy^2, w dy z over the rows around, for the columns of a strip and
+    /// a radius on either side.
+    moments: [Vec<f64>; 5],
+    /// Of w and w z over the kernel, for the columns of a strip.
+    mass: Vec<f64>,
+    sum: Vec<f64>,
+    /// Columns where the kernel is cut off by a void or the border.
+    cut_off: Vec<usize>,
+    /// Smallest determinant of the moments for which a plane is fitted.
+    least_spread: f64,
+}
+
+impl<'g, T: Height> Smoother<'g, T> {
+    fn new(grid: &'g Grid<'g, T>, [kx, ky]: &'g [Vec<f64>; 2]) -> Self {
+        let strip = STRIP.max(RADII_A_STRIP * (kx.len() / 2)).min(grid.cols());
+        let moments = [(); 5].map(|()| vec![0.0; strip + kx.len() - 1]);
+        let (mass, sum) = (vec![0.0; strip], vec![0.0; strip]);
+        let spread = |k: &[f64]| k.iter().zip(offsets(k)).map(|(w, d)| w * d * d).sum::<f64>();
+        let least_spread = LEAST_SPREAD * spread(kx) * spread(ky);
+        Smoother { grid, kx, ky, moments, mass, sum, cut_off: Vec::new(), least_spread }
+    }
+
+    /// Puts the smoothed rows from `first` on into `into`, which holds the rows themselves.
+    fn rows(&mut self, first: usize, into: &mut [T], progress: &mut Progress) -> Result<()> {
+        let (cols, width) = (self.grid.cols(), self.sum.len());
+        // Row after row in a strip, because they have most of what they read in common.
+        for start in (0..cols).step_by(width) {
+            let columns = start..(start + width).min(cols);
+            for (row, into) in (first..).zip(into.chunks_mut(cols)) {
+                self.strip(row, columns.clone(), &mut into[columns.clone()]);
+                let work = columns.len() * self.ky.len() + self.cut_off.len() * self.kx.len();
+                progress.poll(work / 2, || start as f64 / cols as f64)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn strip(&mut self, row: usize, columns: Range<usize>, into: &mut [T]) {
+        let Smoother { grid, kx, ky, moments, mass, sum, cut_off, .. } = self;
+        let (rx, ry) = (kx.len() / 2, ky.len() / 2);
+        let seen = columns.start.saturating_sub(rx)..(columns.end + rx).min(grid.cols());
+        // Where the moments of `seen` stand; those of what is beyond the border are 0.
+        let first = seen.start + rx - columns.start;
+        let within = first..first + seen.len();
+        for moment in moments.iter_mut() {
+            moment[..within.start].fill(0.0);
+            moment[within.end..].fill(0.0);
+        }
+        let (mass, sum) = (&mut mass[..columns.len()], &mut sum[..columns.len()]);
+        let [row_mass, row_sum, ..] = moments;
+        let is_inside = row >= ry && row + ry < grid.rows();
+        cut_off.clear();
+        if is_inside && sum_rows(grid, row, seen.clone(), ky, &mut row_sum[within.clone()]) {
+            convolve(row_sum, kx, sum);
+            for (into, &sum) in into.iter_mut().zip(&*sum) {
+                *into = T::from_f64(sum);
+            }
+            row_mass[within].fill(1.0);
+            cut_off.extend(columns.clone().filter(|&col| col < rx || col + rx >= grid.cols()));
+        } else {
+            sum_known(grid, row, seen, ky, [&mut row_mass[within.clone()], &mut row_sum[within]]);
+            convolve(row_mass, kx, mass);
+            convolve(row_sum, kx, sum);
+            for (((col, into), &mass), &sum) in columns.clone().zip(&mut *into).zip(&*mass).zip(&*sum) {
+                if !into.to_f64().is_nan() {
+                    *into = T::from_f64(sum / mass);
+                    if mass <= COMPLETE {
+                        cut_off.push(col);
+                    }
+                }
+            }
+        }
+        self.refit(row, columns.start, into);
+    }
+
+    /// Puts planes where the kernel is cut off into a strip that begins at column `start`.
+    fn refit(&mut self, row: usize, start: usize, into: &mut [T]) {
+        let (Some(&first), Some(&last)) = (self.cut_off.first(), self.cut_off.last()) else { return };
+        let (rx, cols) = (self.kx.len() / 2, self.grid.cols());
+        let seen = first.saturating_sub(rx)..(last + rx + 1).min(cols);
+        let within = seen.start + rx - start..seen.end + rx - start;
+        let [_, _, dy1, dy2, dyz] = &mut self.moments;
+        sum_slopes(self.grid, row, seen, self.ky, [dy1, dy2, dyz].map(|moment| &mut moment[within.clone()]));
+        for &col in &self.cut_off {
+            into[col - start] = T::from_f64(self.local_plane(col - start));
+        }
+    }
+
+    /// Height of the plane fitted with the kernel's weights to the valid pixels around the
+    /// `i`th of the strip: unlike their weighted mean it is not drawn to one side where the
+    /// kernel is cut off, so that a slope stays a slope up to its edge. The mean where the
+    /// pixels do not span a plane.
+    fn local_plane(&self, i: usize) -> f64 {
+        let [mass, sum, dy1, dy2, dyz] = self.moments.each_ref().map(|m| &m[i..i + self.kx.len()]);
+        let (mut m, mut mx, mut my, mut mxx, mut mxy, mut myy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+        let (mut mz, mut mxz, mut myz) = (0.0, 0.0, 0.0);
+        for (i, (&w, dx)) in self.kx.iter().zip(offsets(self.kx)).enumerate() {
+            let wx = w * dx;
+            (m, mx, my) = (m + w * mass[i], mx + wx * mass[i], my + w * dy1[i]);
+            (mxx, mxy, myy) = (mxx + wx * dx * mass[i], mxy + wx * dy1[i], myy + w * dy2[i]);
+            (mz, mxz, myz) = (mz + w * sum[i], mxz + wx * sum[i], myz + w * dyz[i]);
+        }
+        // Cramer's rule for the constant term of z = a + b dx + c dy.
+        let (cxx, cxy, cyy) = (mxx * myy - mxy * mxy, mx * myy - my * mxy, mx * mxy - my * mxx);
+        let det = m * cxx - mx * cxy + my * cyy;
+        if det > self.least_spread {
+            (mz * cxx - mxz * cxy + myz * cyy) / det
+        } else {
+            mz / m
+        }
+    }
+}
+
+/// How far the weights of a kernel are from its centre.
+fn offsets(kernel: &[f64]) -> impl Iterator<Item = f64> {
+    let radius = (kernel.len() / 2) as i64;
+    (-radius..=radius).map(|d| d as f64)
+}
+
+/// The rows that a kernel over rows reaches, each with its weight and distance from `row`.
+fn rows_around(kernel: &[f64], row: usize, rows: usize) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
+    let first = row as i64 - (kernel.len() / 2) as i64;
+    let around = (first..).zip(kernel).zip(offsets(kernel)).map(|((r, &w), dy)| (r, w, dy));
+    around.filter(move |&(r, ..)| (0..rows as i64).contains(&r)).map(|(r, w, dy)| (r as usize, w, dy))
+}
+
+/// The sums of w z over rows that all exist; whether no pixel was void.
+fn sum_rows<T: Height>(
     grid: &Grid<T>,
     row: usize,
-    near: Range<usize>,
     columns: Range<usize>,
-    ky: &[f64],
-    moments: &mut [Vec<f64>; 5],
+    kernel: &[f64],
+    sum: &mut [f64],
+) -> bool {
+    let radius = kernel.len() / 2;
+    let line = |row: usize| &grid.row(row)[columns.clone()];
+    weigh(sum, kernel[radius], line(row));
+    for distance in 1..=radius {
+        add_pair(sum, kernel[radius + distance], line(row - distance), line(row + distance));
+    }
+    // A void makes its sum NaN.
+    !sum.iter().fold(false, |has_void, sum| has_void | sum.is_nan())
+}
+
+/// The sums of w and w z over the rows that exist and their valid pixels.
+fn sum_known<T: Height>(
+    grid: &Grid<T>,
+    row: usize,
+    columns: Range<usize>,
+    kernel: &[f64],
+    [mass, sum]: [&mut [f64]; 2],
 ) {
-    let [mass, _, dy1, dy2, dyz] = moments;
-    let margin = (mass.len() - grid.cols()) / 2;
-    let within = columns.start + margin..columns.end + margin;
-    let (dy1, dy2, dyz) = (&mut dy1[within.clone()], &mut dy2[within.clone()], &mut dyz[within]);
+    mass.fill(0.0);
+    sum.fill(0.0);
+    for (r, w, _) in rows_around(kernel, row, grid.rows()) {
+        for ((mass, sum), z) in mass.iter_mut().zip(&mut *sum).zip(&grid.row(r)[columns.clone()]) {
+            let z = z.to_f64();
+            let known = !z.is_nan();
+            *mass += if known { w } else { 0.0 };
+            *sum += if known { w * z } else { 0.0 };
+        }
+    }
+}
+
+/// The sums of w dy, w dy^2 and w dy z over the rows that exist and their valid pixels.
+fn sum_slopes<T: Height>(
+    grid: &Grid<T>,
+    row: usize,
+    columns: Range<usize>,
+    kernel: &[f64],
+    [dy1, dy2, dyz]: [&mut [f64]; 3],
+) {
     for moment in [&mut *dy1, &mut *dy2, &mut *dyz] {
         moment.fill(0.0);
     }
-    for r in near {
-        let dy = r as f64 - row as f64;
-        let w = ky[r + ky.len() / 2 - row] * dy;
-        let into = dy1.iter_mut().zip(dy2.iter_mut()).zip(dyz.iter_mut());
+    for (r, w, dy) in rows_around(kernel, row, grid.rows()) {
+        let w = w * dy;
+        let into = dy1.iter_mut().zip(&mut *dy2).zip(&mut *dyz);
         for (((dy1, dy2), dyz), z) in into.zip(&grid.row(r)[columns.clone()]) {
             let z = z.to_f64();
             let known = !z.is_nan();
@@ -243,33 +255,38 @@ fn slope_moments<T: Height>(
     }
 }
 
-/// Height at `col` of the plane fitted with the kernel's weights to the valid pixels
-/// around: unlike their weighted mean it is not drawn to one side where the kernel is
-/// cut off, so that a slope stays a slope up to its edge. `None` where the pixels do
-/// not span a plane. `moments`: of w, w z, w dy, w dy^2, w dy z over the rows.
-fn local_plane(moments: &[Vec<f64>; 5], col: usize, kx: &[f64], ky: &[f64]) -> Option<f64> {
-    let [mass, sum, dy1, dy2, dyz] = moments;
-    let (mut m, mut mx, mut my, mut mxx, mut mxy, mut myy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-    let (mut mz, mut mxz, mut myz) = (0.0, 0.0, 0.0);
-    for (i, &w) in (col..).zip(kx) {
-        let dx = (i - col) as f64 - (kx.len() / 2) as f64;
-        let wx = w * dx;
-        (m, mx, my) = (m + w * mass[i], mx + wx * mass[i], my + w * dy1[i]);
-        (mxx, mxy, myy) = (mxx + wx * dx * mass[i], mxy + wx * dy1[i], myy + w * dy2[i]);
-        (mz, mxz, myz) = (mz + w * sum[i], mxz + wx * sum[i], myz + w * dyz[i]);
+/// Convolution of `line` with a symmetric kernel, where it covers all of that.
+fn convolve(line: &[f64], kernel: &[f64], into: &mut [f64]) {
+    let (radius, count) = (kernel.len() / 2, into.len());
+    weigh(into, kernel[radius], &line[radius..]);
+    for distance in 1..=radius {
+        let (before, after) = (&line[radius - distance..], &line[radius + distance..]);
+        add_pair(into, kernel[radius + distance], &before[..count], &after[..count]);
     }
-    // Cramer's rule for the constant term of z = a + b dx + c dy.
-    let (cxx, cxy, cyy) = (mxx * myy - mxy * mxy, mx * myy - my * mxy, mx * mxy - my * mxx);
-    let det = m * cxx - mx * cxy + my * cyy;
-    let spread = |k: &[f64]| {
-        k.iter().enumerate().map(|(i, w)| w * (i as f64 - (k.len() / 2) as f64).powi(2)).sum::<f64>()
-    };
-    let is_plane = det > LEAST_SPREAD * spread(kx) * spread(ky);
-    is_plane.then(|| (mz * cxx - mxz * cxy + myz * cyy) / det)
 }
 
+fn weigh<T: Height>(into: &mut [f64], weight: f64, values: &[T]) {
+    for (into, value) in into.iter_mut().zip(values) {
+        *into = weight * value.to_f64();
+    }
+}
+
+/// Adds two lines of which each stands for the same weight.
+fn add_pair<T: Height>(into: &mut [f64], weight: f64, a: &[T], b: &[T]) {
+    for ((into, a), b) in into.iter_mut().zip(a).zip(b) {
+        *into += weight * (a.to_f64() + b.to_f64());
+    }
+}
+
+/// A kernel that finds more than this share of its weight is not cut off by a void
+/// or the border.
+const COMPLETE: f64 = 1.0 - 1e-9;
+/// Smallest determinant of the moments, relative to those of a complete kernel, for
+/// which a plane is fitted.
+const LEAST_SPREAD: f64 = 1e-3;
+
 /// The standard deviations tried by [`choose`], in pixels.
-const SIGMAS: [f64; 11] = [0.0, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2, 3.0, 4.0];
+const SIGMAS: [f64; 10] = [0.4, 0.5, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2, 3.0, 4.0];
 
 /// A smoothed image and how it was made.
 pub struct Smooth<'a, T: Height> {
@@ -287,30 +304,38 @@ pub fn choose<'a, T: Height>(
     progress: &mut Progress,
 ) -> Result<Smooth<'a, T>> {
     let variance = noise * noise;
-    let mut best = Smooth { z: Cow::Borrowed(grid.z()), sigma: 0.0 };
-    let mut least = variance;
-    for &sigma in &SIGMAS[1..] {
-        let z = gaussian(grid, [sigma, sigma], progress)?;
-        let residual = mean_squared_difference(&z, grid.z());
+    let (mut best, mut least) = (0.0, variance);
+    for &sigma in &SIGMAS {
+        let residual = mean_squared_residual(grid, sigma, progress)?;
         let risk = residual - variance + 2.0 * variance * centre_weight([sigma, sigma]);
         if risk.is_nan() || risk >= least {
             break;
         }
-        least = risk;
-        best = Smooth { z, sigma };
+        (best, least) = (sigma, risk);
     }
-    Ok(best)
+    Ok(Smooth { z: gaussian(grid, [best, best], progress)?, sigma: best })
 }
 
-/// Over the pixels where both are valid; 0 without any.
-fn mean_squared_difference<T: Height>(a: &[T], b: &[T]) -> f64 {
-    let (mut sum, mut count) = (0.0, 0usize);
-    for (a, b) in a.iter().zip(b) {
-        let d = a.to_f64() - b.to_f64();
-        if !d.is_nan() {
-            sum += d * d;
-            count += 1;
+/// Of the pixels that smoothing moves, in rows spread over the raster; 0 without valid ones.
+fn mean_squared_residual<T: Height>(grid: &Grid<T>, sigma: f64, progress: &mut Progress) -> Result<f64> {
+    let kernels = [kernel(sigma), kernel(sigma)];
+    let rows: Vec<usize> = (0..grid.rows()).step_by(stride(grid.z().len(), MAX_SAMPLES)).collect();
+    let parts = spread(progress, rows.chunks(BAND), |rows, progress| {
+        let mut smoother = Smoother::new(grid, &kernels);
+        let (mut sum, mut count) = (0.0, 0);
+        for &row in rows {
+            let mut smooth = grid.row(row).to_vec();
+            smoother.rows(row, &mut smooth, progress)?;
+            for (smooth, z) in smooth.iter().zip(grid.row(row)) {
+                let residual = smooth.to_f64() - z.to_f64();
+                if !residual.is_nan() {
+                    sum += residual * residual;
+                    count += 1;
+                }
+            }
         }
-    }
-    sum / count.max(1) as f64
+        Ok((sum, count))
+    })?;
+    let (sum, count) = parts.iter().fold((0.0, 0usize), |(sum, count), part| (sum + part.0, count + part.1));
+    Ok(sum / count.max(1) as f64)
 }

@@ -38,7 +38,7 @@ impl Plane {
 
     #[inline(always)]
     pub(crate) fn at(&self, on_row: f64, col: usize) -> f64 {
-        on_row + self.per_col * (col as f64 - self.col0)
+        on_row + self.per_col * (f64::from(col as i32) - self.col0)
     }
 }
 

@@ -1,5 +1,7 @@
 //! A surface taken apart into tiles, and put together again.
 
+use crate::error::Result;
+use crate::memory;
 use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
 use crate::predicate::{orient2d, Metric, Point};
 use crate::refine::Refiner;
@@ -8,6 +10,9 @@ use crate::surface::Surface;
 use crate::tiling::Tiling;
 use crate::triangle::{Location, Triangle};
 use std::collections::HashMap;
+
+/// What a triangle takes with its share of the vertices.
+const TRIANGLE_BYTES: usize = 64;
 
 /// One tile's part of the surface; edges towards other tiles are borders of its mesh.
 #[derive(Clone)]
@@ -75,9 +80,11 @@ impl Shared {
 }
 
 /// Takes the surface apart; tiles without a triangle are left out.
-pub fn cut(surface: Surface, tiling: &Tiling) -> (Shared, Vec<Tile>) {
+/// Errors: `out-of-memory`.
+pub fn cut(surface: Surface, tiling: &Tiling) -> Result<(Shared, Vec<Tile>)> {
     let mesh = &surface.mesh;
     let count = mesh.triangles().len();
+    memory::ensure(TRIANGLE_BYTES * count)?;
     let tile_of: Vec<usize> = (0..count as u32).map(|t| tiling.tile_of(mesh.corners(t))).collect();
     let mut members: Vec<Vec<u32>> = vec![Vec::new(); tiling.count()];
     let mut number = vec![NONE; count];
@@ -111,14 +118,16 @@ pub fn cut(surface: Surface, tiling: &Tiling) -> (Shared, Vec<Tile>) {
     }
     let metric = mesh.metric();
     let (points, _) = surface.mesh.into_parts();
-    (Shared { points, z: surface.z, is_fixed: surface.is_fixed, metric }, tiles)
+    Ok((Shared { points, z: surface.z, is_fixed: surface.is_fixed, metric }, tiles))
 }
 
 /// Puts the tiles together, each given back as soon as it is copied.
-pub fn merge(shared: Shared, tiles: Vec<Tile>) -> Surface {
+/// Errors: `out-of-memory`.
+pub fn merge(shared: Shared, tiles: Vec<Tile>) -> Result<Surface> {
     let Shared { mut points, mut z, mut is_fixed, metric } = shared;
     let vertices = points.len() + tiles.iter().map(Tile::inserted).sum::<usize>();
-    let count = tiles.iter().map(|tile| tile.refiner.surface.mesh.triangles().len()).sum();
+    let count = tiles.iter().map(|tile| tile.refiner.surface.mesh.triangles().len()).sum::<usize>();
+    memory::ensure(TRIANGLE_BYTES * count)?;
     points.reserve_exact(vertices - points.len());
     z.reserve_exact(vertices - z.len());
     is_fixed.reserve_exact(vertices - is_fixed.len());
@@ -158,7 +167,7 @@ pub fn merge(shared: Shared, tiles: Vec<Tile>) -> Surface {
             }
         }
     }
-    Surface { mesh: Mesh::of_parts(points, triangles, metric), z, is_fixed }
+    Ok(Surface { mesh: Mesh::of_parts(points, triangles, metric), z, is_fixed })
 }
 
 /// Makes ordinary edges of the seams, and the mesh Delaunay again; returns the triangles

@@ -8,10 +8,11 @@ use dem2tin_core::error::Error;
 use dem2tin_core::fit::{fit_heights, flip_pass};
 use dem2tin_core::grid::Grid;
 use dem2tin_core::measure::{errors, rasterise};
+use dem2tin_core::noise::spikes;
 use dem2tin_core::pipeline::triangulate;
 use dem2tin_core::predicate::Metric;
 use dem2tin_core::progress::Progress;
-use dem2tin_core::scale::{gaussian, spikes};
+use dem2tin_core::scale::gaussian;
 use std::collections::BTreeSet;
 use std::time::Duration;
 

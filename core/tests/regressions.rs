@@ -7,9 +7,9 @@ use common::{assert_sound, hills, plain, quietly, residuals, run, AUTO, MAX};
 use dem2tin_core::domain::Constraints;
 use dem2tin_core::error::Error;
 use dem2tin_core::grid::Grid;
+use dem2tin_core::noise::spikes;
 use dem2tin_core::pipeline::{Options, Scales};
 use dem2tin_core::refine::{Rule, Stop};
-use dem2tin_core::scale::spikes;
 
 #[test]
 fn a_tolerance_holds_after_coarser_scales_without_a_fit() {

@@ -5,7 +5,9 @@ mod common;
 
 use common::{hills, quietly, Random};
 use dem2tin_core::grid::{Grid, Height};
-use dem2tin_core::scale::{choose, gaussian, noise, spikes};
+use dem2tin_core::noise::{noise, spikes};
+use dem2tin_core::progress::Progress;
+use dem2tin_core::scale::{choose, gaussian};
 use proptest::prelude::*;
 
 fn smooth<T: Height>(z: &[T], rows: usize, cols: usize, sigma: [f64; 2]) -> Vec<T> {
@@ -138,6 +140,113 @@ proptest! {
         for (pixel, height) in found {
             prop_assert!((height - ramp[pixel]).abs() <= 1.0 + a.abs() + b.abs());
         }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(20))]
+
+    #[test]
+    fn wide_rasters_are_smoothed_like_narrow_ones(rows in 2usize..70, cols in 250usize..800, lake in 0usize..800, sigma in 0.3f64..1.4, seed: u64) {
+        // A few rows are looked at: the oracle takes its time.
+        let mut random = Random(seed);
+        let is_void = |i: usize| (i % cols).abs_diff(lake) < 9 && i / cols > 3;
+        let z: Vec<f64> = (0..rows * cols).map(|i| if is_void(i) { f64::NAN } else { random.normal() }).collect();
+        let found = smooth(&z, rows, cols, [sigma, sigma]);
+        for first in [0, rows / 2, rows.saturating_sub(1)] {
+            let (from, to) = (first.saturating_sub(6), (first + 7).min(rows));
+            let (part, at) = (&z[from * cols..to * cols], (first - from) * cols);
+            let expected = convolved(part, to - from, cols, [sigma, sigma]);
+            for (found, want) in found[first * cols..][..cols].iter().zip(&expected[at..at + cols]) {
+                let Some(want) = want else { continue };
+                prop_assert!((found.is_nan() && want.is_nan()) || (found - want).abs() < 1e-8, "{found} {want}");
+            }
+        }
+    }
+}
+
+/// Spikes as their definition reads, every pixel looked at in full.
+fn spikes_by_definition<T: Height>(grid: &Grid<T>, margin: f64) -> Vec<(usize, f64)> {
+    let mut found = Vec::new();
+    for (row, col) in (0..grid.rows()).flat_map(|row| (0..grid.cols()).map(move |col| (row, col))) {
+        let is_beside =
+            |r: usize, c: usize| r.abs_diff(row) <= 1 && c.abs_diff(col) <= 1 && (r, c) != (row, col);
+        let mut around: Vec<f64> = (0..grid.rows())
+            .flat_map(|r| (0..grid.cols()).map(move |c| (r, c)))
+            .filter(|&(r, c)| is_beside(r, c) && grid.is_valid(c, r))
+            .map(|(r, c)| grid.at(c, r))
+            .collect();
+        around.sort_by(f64::total_cmp);
+        let n = around.len();
+        if n < 5 || !grid.is_valid(col, row) {
+            continue;
+        }
+        let rank = usize::from(n >= 6);
+        let (low, high, z) = (around[rank], around[n - 1 - rank], grid.at(col, row));
+        if z > high + 0.5 * (high - low) + margin || z < low - 0.5 * (high - low) - margin {
+            found.push((row * grid.cols() + col, 0.5 * (around[(n - 1) / 2] + around[n / 2])));
+        }
+    }
+    found
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    #[test]
+    fn spikes_are_what_their_definition_says(
+        rows in 2usize..12, cols in 2usize..40, voids in 0.0f64..0.5, tail in 1i32..12, seed: u64,
+    ) {
+        let mut random = Random(seed);
+        // Whole numbers: heights that are equal, and differences that are the margin itself.
+        let z: Vec<f64> = (0..rows * cols)
+            .map(|_| if random.unit() < voids { f64::NAN } else { (10.0 * random.unit().powi(tail)).round() })
+            .collect();
+        let single: Vec<f32> = z.iter().map(|&z| z as f32).collect();
+        let (grid, single) = (Grid::new(&z, rows, cols).unwrap(), Grid::new(&single, rows, cols).unwrap());
+        // A quarter of a margin of 1, which no share of the range of 10 exceeds.
+        let expected = spikes_by_definition(&grid, 1.0);
+        prop_assert_eq!(&quietly(|progress| spikes(&grid, 0.25, progress)).unwrap(), &expected);
+        let found = quietly(|progress| spikes(&single, 0.25, progress)).unwrap();
+        prop_assert_eq!(found.into_iter().map(|(i, z)| (i, f64::from(z))).collect::<Vec<_>>(), expected);
+    }
+}
+
+/// Heights with noise, spikes, a collar and lakes, more rows than several bands.
+fn spotted(rows: usize, cols: usize) -> Vec<f32> {
+    let mut random = Random(5);
+    let relief = hills(rows, cols, 3);
+    let is_void = |i: usize| i % cols + i / cols < 40 || (i % cols / 40 + i / cols / 25) % 5 == 4;
+    (0..rows * cols)
+        .map(|i| {
+            let spike = if random.below(300) == 0 { 500.0 } else { 0.0 };
+            if is_void(i) {
+                f32::NAN
+            } else {
+                (relief[i] + 9.0 * random.normal() + spike) as f32
+            }
+        })
+        .collect()
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    let (rows, cols) = (150, 330);
+    let z = spotted(rows, cols);
+    let grid = Grid::new(&z, rows, cols).unwrap();
+    let bits = |z: &[f32]| z.iter().map(|z| z.to_bits()).collect::<Vec<_>>();
+    let run = |threads: usize| {
+        let mut quiet = |_: &'static str, _: f64| true;
+        let mut progress = Progress::new(&mut quiet).with_threads(threads);
+        let chosen = choose(&grid, noise(&grid), &mut progress).unwrap();
+        let wide = gaussian(&grid, [6.0, 2.0], &mut progress).unwrap();
+        assert!(chosen.sigma > 0.0);
+        (spikes(&grid, 1.0, &mut progress).unwrap(), chosen.sigma, bits(&chosen.z), bits(&wide))
+    };
+    let alone = run(1);
+    assert!(alone.0.len() > 50);
+    for threads in [2, 3, 8] {
+        assert!(run(threads) == alone, "{threads} threads");
     }
 }
 
