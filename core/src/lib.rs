@@ -1,8 +1,8 @@
 //! Exact incremental Delaunay refinement of digital elevation models.
 //!
 //! Modules, each using only those above it: `predicate`, `grid`, `mesh` (`check`,
-//! `constrain`), `scan`, `scale`, `outline`, `queue`, `refine`, `fit`, `pipeline`;
-//! `python` is the binding.
+//! `constrain`), `scan`, `scale`, `outline`, `queue`, `refine`, `sight`
+//! (`moments`, `owned`), `fit` (`normal`), `flip`, `pipeline`; `python` is the binding.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
@@ -13,14 +13,18 @@ pub mod crop;
 pub mod domain;
 pub mod error;
 pub mod fit;
+pub mod flip;
 pub mod grid;
 pub mod label;
 pub mod locate;
 pub mod measure;
 pub mod memory;
 pub mod mesh;
+pub mod moments;
+pub mod normal;
 pub mod order;
 pub mod outline;
+pub mod owned;
 pub mod pipeline;
 pub mod predicate;
 pub mod progress;
@@ -31,7 +35,9 @@ pub mod refine;
 pub mod scale;
 pub mod scan;
 pub mod sieve;
+pub mod sight;
 pub mod simplify;
 pub mod surface;
 pub mod threads;
 pub mod triangle;
+pub mod visited;

@@ -1,12 +1,12 @@
 //! What the finished mesh looks like on the grid: the surface and its errors.
 
 use crate::error::Result;
-use crate::fit::Visited;
 use crate::grid::{Grid, Height};
 use crate::memory;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::scan::{for_each_pixel, for_each_plane_row, Corners};
+use crate::visited::Visited;
 
 /// Error statistics over the valid pixels that the mesh covers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
