@@ -1,186 +1,122 @@
-//! Heights by least squares, and edge flips that lower the squared error.
+//! Heights by least squares.
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
 use crate::memory;
-use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
+use crate::mesh::Mesh;
+use crate::moments::{dot, Affine, Moments};
+use crate::normal::{Normal, Products};
 use crate::predicate::Point;
 use crate::progress::Progress;
-use crate::scan::for_each_pixel;
+use crate::sight::{chunks, moments_of, stands, Sight};
 use crate::surface::Surface;
+use crate::threads::spread;
+use std::ops::Range;
 
-/// Conjugate gradients stop when the residual has fallen by this factor.
-const REDUCTION: f64 = 1e-4;
-const MAX_ITERATIONS: usize = 60;
 /// A vertex that was placed by looking at the data costs more degrees of freedom
 /// than its height (Friedman 1991 charges 2 to 4 for such a knot).
 const KNOT_COST: f64 = 2.0;
+/// Chunks whose results are kept at once.
+const CHUNKS: usize = 1 << 4;
 
-/// A set of pixels, one bit each.
-pub struct Visited(Vec<u64>);
+/// What a triangle adds to the normal equations.
+struct Share<const K: usize> {
+    corners: [f64; 3],
+    edges: [f64; 3],
+    sides: [[f64; K]; 3],
+    squares: [f64; K],
+}
 
-impl Visited {
-    pub fn new(pixels: usize) -> Self {
-        Visited(vec![0; pixels.div_ceil(64)])
-    }
-
-    /// Adds the pixel; false if it was there.
+impl<const K: usize> Share<K> {
+    /// The first value counts as far as it is not yet the surface's.
     #[inline]
-    pub fn insert(&mut self, pixel: usize) -> bool {
-        let (word, bit) = (&mut self.0[pixel / 64], 1u64 << (pixel % 64));
-        let new = *word & bit == 0;
-        *word |= bit;
-        new
+    fn of(moments: &Moments<K>, p: [Point; 3], z: [f64; 3]) -> Self {
+        let hats = moments.hats(p);
+        let times = hats.map(|hat| moments.times(hat));
+        let product = |i: usize, j: usize| dot(hats[i], times[j]);
+        let side = |hat: Affine| std::array::from_fn(|k| dot(hat, moments.values[k]));
+        let plane = moments.plane(p, z);
+        let mut sides: [[f64; K]; 3] = hats.map(side);
+        for (side, times) in sides.iter_mut().zip(times) {
+            side[0] -= dot(plane, times);
+        }
+        let mut squares = moments.squares;
+        squares[0] = moments.squared_error(plane);
+        Share {
+            corners: [product(0, 0), product(1, 1), product(2, 2)],
+            edges: [product(0, 1), product(1, 2), product(2, 0)],
+            sides,
+            squares,
+        }
     }
 }
 
-/// Normal equations of the hat functions, kept as one symmetric 3 x 3 block a triangle.
-struct Normal<'m> {
-    mesh: &'m Mesh,
-    /// (00, 01, 02, 11, 12, 22) of each triangle.
-    blocks: Vec<[f64; 6]>,
-    /// Inverse diagonal, 0 for vertices that stay as they are: fixed or without pixels.
-    inverse: Vec<f64>,
+/// The systems to solve: one matrix, and for each value of the pixels a side and its sum of squares.
+struct Systems<const K: usize> {
+    normal: Normal,
+    sides: Vec<[f64; K]>,
+    squares: [f64; K],
 }
 
-impl<'m> Normal<'m> {
-    /// The matrix, and one right-hand side for each of the `K` values a pixel has, the
-    /// first being its height less that of the surface.
-    /// `value(pixel, height, plane)`: `plane` is the height of the surface.
-    fn assemble<T: Height, const K: usize>(
-        surface: &'m Surface,
-        grid: &Grid<T>,
+impl<const K: usize> Systems<K> {
+    /// `stands`: the values where each vertex stands. `moments(t)`: over the triangle's pixels.
+    fn assemble(
+        surface: &Surface,
+        stands: impl Fn(usize) -> [f64; K],
+        moments: impl Fn(u32) -> Moments<K> + Sync,
         progress: &mut Progress,
-        value: impl Fn(usize, f64, f64) -> [f64; K],
-    ) -> Result<(Self, [Vec<f64>; K])> {
-        let (mesh, z) = (&surface.mesh, &surface.z);
-        let (vertices, triangles) = (z.len(), mesh.triangles().len());
-        memory::ensure(triangles * 48 + vertices * 8 * (K + 6) + grid.z().len() / 8)?;
-        let mut seen = Visited::new(grid.z().len());
-        let mut blocks = vec![[0.0; 6]; mesh.triangles().len()];
-        let mut sides: [Vec<f64>; K] = std::array::from_fn(|_| vec![0.0; z.len()]);
-        let mut inverse = vec![0.0; z.len()];
-        let count = blocks.len();
-        let mut is_seen = vec![false; vertices];
-        for (t, m) in blocks.iter_mut().enumerate() {
-            let triangle = mesh.triangle(t as u32);
-            if triangle.is_void() {
-                continue;
-            }
-            let v = triangle.v.map(|v| v as usize);
-            let p = mesh.corners(t as u32);
-            let hats = Hats::over(p);
-            let mut work = 16;
-            let (mut block, mut loads) = ([0.0; 6], [[0.0; 3]; K]);
-            for_each_pixel(grid, p, v.map(|v| z[v]), |col, row, height, plane| {
-                work += 4;
-                let pixel = row * grid.cols() + col;
-                if !seen.insert(pixel) {
-                    return;
-                }
-                let hat = hats.at(col, row);
-                let [a, b, c] = hat;
-                for (sum, product) in block.iter_mut().zip([a * a, a * b, a * c, b * b, b * c, c * c]) {
-                    *sum += product;
-                }
-                for (load, value) in loads.iter_mut().zip(value(pixel, height, plane)) {
-                    for (load, hat) in load.iter_mut().zip(hat) {
-                        *load += hat * value;
-                    }
-                }
-            });
-            // A vertex that stands on no pixel of its own gets the image's height there as
-            // an observation, or it might be seen by hardly any pixel and fly off.
-            for (k, &v) in v.iter().enumerate().filter(|(_, &v)| !std::mem::replace(&mut is_seen[v], true)) {
-                let is_pixel = p[k].as_pixel().is_some_and(|(col, row)| grid.is_valid(col, row));
-                if !is_pixel {
-                    block[[0, 3, 5][k]] += 1.0;
-                    loads[0][k] += grid.interpolate(p[k]) - z[v];
-                }
-            }
-            *m = block;
-            for (side, load) in sides.iter_mut().zip(loads) {
-                for (v, load) in v.into_iter().zip(load) {
-                    side[v] += load;
-                }
-            }
-            for (v, diagonal) in v.into_iter().zip([m[0], m[3], m[5]]) {
-                inverse[v] += diagonal;
-            }
-            progress.poll(work, || t as f64 / count as f64)?;
+    ) -> Result<Self> {
+        let Surface { mesh, z, is_fixed } = surface;
+        let (count, vertices) = (mesh.triangles().len(), z.len());
+        memory::ensure(count * 24 + Normal::bytes(vertices, K))?;
+        let mut sides = vec![[0.0; K]; vertices];
+        let mut squares = [0.0; K];
+        let mut products = Products { diagonal: vec![0.0; vertices], edges: Vec::with_capacity(count) };
+        for (v, side) in sides.iter_mut().enumerate().filter(|(v, _)| !z[*v].is_nan()) {
+            *side = stands(v);
+            side[0] -= z[v];
+            products.diagonal[v] = 1.0;
+            squares.iter_mut().zip(*side).for_each(|(sum, value)| *sum += value * value);
         }
-        for (d, is_fixed) in inverse.iter_mut().zip(&surface.is_fixed) {
-            *d = if *d > 0.0 && !is_fixed { 1.0 / *d } else { 0.0 };
+        let open: Vec<_> = chunks(count).collect();
+        for open in open.chunks(CHUNKS) {
+            let shares = spread(progress, open.iter(), |chunk, progress| {
+                let share = |t: usize| share_of(surface, t as u32, &moments);
+                progress.poll(64 * chunk.len(), || chunk.start as f64 / count as f64)?;
+                Ok(chunk.clone().map(share).collect::<Vec<_>>())
+            })?;
+            for share in shares.into_iter().flatten() {
+                let v = mesh.triangles()[products.edges.len()].v;
+                products.edges.push(share.edges);
+                for (k, v) in v.into_iter().enumerate() {
+                    products.diagonal[v as usize] += share.corners[k];
+                    sides[v as usize].iter_mut().zip(share.sides[k]).for_each(|(sum, side)| *sum += side);
+                }
+                squares.iter_mut().zip(share.squares).for_each(|(sum, square)| *sum += square);
+            }
         }
-        Ok((Normal { mesh, blocks, inverse }, sides))
+        Ok(Systems { normal: Normal::new(mesh, products, is_fixed), sides, squares })
     }
+}
 
-    /// y = A x.
-    fn apply(&self, x: &[f64], y: &mut [f64]) {
-        y.fill(0.0);
-        for (triangle, m) in self.mesh.triangles().iter().zip(&self.blocks) {
-            let [i, j, k] = triangle.v.map(|v| v as usize);
-            let (a, b, c) = (x[i], x[j], x[k]);
-            y[i] += m[0] * a + m[1] * b + m[2] * c;
-            y[j] += m[1] * a + m[3] * b + m[4] * c;
-            y[k] += m[2] * a + m[4] * b + m[5] * c;
-        }
+#[inline]
+fn share_of<const K: usize>(surface: &Surface, t: u32, moments: &impl Fn(u32) -> Moments<K>) -> Share<K> {
+    let mesh: &Mesh = &surface.mesh;
+    if mesh.triangle(t).is_void() {
+        return Share { corners: [0.0; 3], edges: [0.0; 3], sides: [[0.0; K]; 3], squares: [0.0; K] };
     }
-
-    /// Solves A x = r by conjugate gradients with Jacobi's preconditioner, from x = 0.
-    fn solve(&self, mut r: Vec<f64>, progress: &mut Progress) -> Result<Vec<f64>> {
-        let mut x = vec![0.0; r.len()];
-        let mut product = vec![0.0; r.len()];
-        let mut direction = vec![0.0; r.len()];
-        let preconditioned = |r: &[f64]| r.iter().zip(&self.inverse).map(|(r, d)| r * r * d).sum::<f64>();
-        let mut rho = preconditioned(&r);
-        // Squares of the smallest heights underflow.
-        let goal = (rho * REDUCTION * REDUCTION).max(f64::MIN_POSITIVE);
-        let mut keep = 0.0;
-        for i in 0..MAX_ITERATIONS {
-            if rho <= goal {
-                break;
-            }
-            progress.poll(16 * x.len(), || i as f64 / MAX_ITERATIONS as f64)?;
-            for ((direction, r), d) in direction.iter_mut().zip(&r).zip(&self.inverse) {
-                *direction = r * d + keep * *direction;
-            }
-            self.apply(&direction, &mut product);
-            let curvature = dot(&direction, &product);
-            if curvature <= 0.0 {
-                break;
-            }
-            let step = rho / curvature;
-            for i in 0..x.len() {
-                x[i] += step * direction[i];
-                r[i] -= step * product[i];
-            }
-            let rho_next = preconditioned(&r);
-            keep = rho_next / rho;
-            rho = rho_next;
-        }
-        Ok(x)
-    }
+    Share::of(&moments(t), mesh.corners(t), surface.heights(t))
 }
 
 /// Moves the free vertices to the heights with the least sum of squared differences
-/// between the surface and the pixels of `target`.
-pub fn fit_heights<T: Height>(
-    surface: &mut Surface,
-    target: &Grid<T>,
-    progress: &mut Progress,
-) -> Result<()> {
-    let (normal, [residual]) =
-        Normal::assemble(surface, target, progress, |_, height, plane| [height - plane])?;
-    let changes = normal.solve(residual, progress)?;
-    add(&mut surface.z, &changes);
+/// between the surface and the pixels seen, where there is more than a millionth of it to gain. Errors:
+/// `out-of-memory`, `cancelled`.
+pub fn fit_heights(surface: &mut Surface, seen: &Sight, progress: &mut Progress) -> Result<()> {
+    let Systems { normal, sides, squares } =
+        Systems::assemble(surface, |v| [seen.vertices[v]], |t| seen.triangles[t as usize], progress)?;
+    let changes = normal.solve(sides, squares, progress)?;
+    surface.z.iter_mut().zip(changes).for_each(|(z, [change])| *z += change);
     Ok(())
-}
-
-fn add(z: &mut [f64], changes: &[f64]) {
-    for (z, change) in z.iter_mut().zip(changes) {
-        *z += change;
-    }
 }
 
 /// Images that decide how far the fit should follow the smoothed one.
@@ -203,119 +139,45 @@ impl<T: Height> Blend<'_, T> {
     /// p' P (I - G) p with the probe p (Hutchinson 1989) and charged at the cost of
     /// knots.
     pub fn fit(&self, surface: &mut Surface, progress: &mut Progress) -> Result<f64> {
-        let (normal, [mut residual, removed, probe, removed_probe]) =
-            Normal::assemble(surface, &self.data, progress, |i, height, plane| {
-                let probe = self.probe[i].to_f64();
-                let removed = height - self.smooth[i].to_f64();
-                [height - plane, removed, probe, probe - self.smooth_probe[i].to_f64()]
-            })?;
-        let energy = dot(&normal.solve(removed.clone(), progress)?, &removed);
-        let trace = dot(&normal.solve(removed_probe, progress)?, &probe);
+        let stands = stands(surface, &self.data, progress)?;
+        let at = |v: usize| match surface.mesh.point(v as u32).as_pixel() {
+            Some((col, row)) if self.data.is_valid(col, row) => {
+                let i = row * self.data.cols() + col;
+                self.pixels(i..i + 1).next().unwrap_or_default()
+            }
+            _ => [stands[v], 0.0, 0.0, 0.0],
+        };
+        let moments = |t: u32| {
+            moments_of(surface, t, |row, first, end| {
+                let start = row * self.data.cols();
+                self.pixels(start + first..start + end)
+            })
+        };
+        let Systems { normal, sides, squares } = Systems::assemble(surface, at, moments, progress)?;
+        let changes = normal.solve(
+            sides.iter().map(|&[a, b, c, _]| [a, b, c]).collect(),
+            [squares[0], squares[1], squares[2]],
+            progress,
+        )?;
+        let pairs = || changes.iter().zip(&sides);
+        let energy: f64 = pairs().map(|(change, side)| change[1] * side[1]).sum();
+        let trace: f64 = pairs().map(|(change, side)| change[2] * side[3]).sum();
         let share = KNOT_COST * self.noise * self.noise * trace / energy;
         let share = if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) };
-        for (residual, removed) in residual.iter_mut().zip(removed) {
-            *residual -= share * removed;
+        for (z, change) in surface.z.iter_mut().zip(&changes) {
+            *z += change[0] - share * change[1];
         }
-        let changes = normal.solve(residual, progress)?;
-        add(&mut surface.z, &changes);
         Ok(share)
     }
-}
 
-/// The three hat functions of a triangle.
-struct Hats {
-    origin: Point,
-    d1: (f64, f64),
-    d2: (f64, f64),
-}
-
-impl Hats {
-    fn over(p: [Point; 3]) -> Self {
-        let area = crate::predicate::orient2d(p[0], p[1], p[2]) as f64;
-        let gradient =
-            |from: Point, to: Point| (f64::from(from.y - to.y) / area, f64::from(to.x - from.x) / area);
-        Hats { origin: p[0], d1: gradient(p[2], p[0]), d2: gradient(p[0], p[1]) }
+    /// Of each pixel its height, what smoothing removes of it and of the probe, and the probe.
+    #[inline(always)]
+    fn pixels(&self, pixels: Range<usize>) -> impl ExactSizeIterator<Item = [f64; 4]> + '_ {
+        let data = self.data.z()[pixels.clone()].iter().zip(&self.smooth[pixels.clone()]);
+        let probe = self.probe[pixels.clone()].iter().zip(&self.smooth_probe[pixels]);
+        data.zip(probe).map(|((height, smooth), (probe, smooth_probe))| {
+            let [height, probe] = [height, probe].map(|value| value.to_f64());
+            [height, height - smooth.to_f64(), probe - smooth_probe.to_f64(), probe]
+        })
     }
-
-    #[inline]
-    fn at(&self, col: usize, row: usize) -> [f64; 3] {
-        let q = Point::pixel(col, row);
-        let (dx, dy) = (f64::from(q.x - self.origin.x), f64::from(q.y - self.origin.y));
-        let b = self.d1.0 * dx + self.d1.1 * dy;
-        let c = self.d2.0 * dx + self.d2.1 * dy;
-        [1.0 - b - c, b, c]
-    }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-/// Sum of squared differences between a plane and the pixels of the closed triangle.
-fn squared_error<T: Height>(target: &Grid<T>, p: [Point; 3], z: [f64; 3]) -> (f64, usize) {
-    let (mut sum, mut count) = (0.0, 0);
-    for_each_pixel(target, p, z, |_, _, height, plane| {
-        sum += (height - plane) * (height - plane);
-        count += 1;
-    });
-    (sum, count)
-}
-
-/// One pass over the edges: flips each unconstrained edge whose flip lowers the sum
-/// of squared errors against `target`. Returns the number of flips; the mesh is
-/// then no longer Delaunay.
-pub fn flip_pass<T: Height>(
-    surface: &mut Surface,
-    target: &Grid<T>,
-    progress: &mut Progress,
-) -> Result<usize> {
-    let Surface { mesh, z, .. } = surface;
-    let count = mesh.triangles().len() as u32;
-    let height = |v: [u32; 3]| v.map(|v| z[v as usize]);
-    memory::ensure(8 * count as usize)?;
-    let mut errors = vec![f64::NAN; count as usize];
-    let mut flips = 0;
-    for t in 0..count {
-        let mut work = 64;
-        for h in (0..3).map(|k| half_edge(t, k)) {
-            let twin = mesh.twin(h);
-            // Each edge once: from its lower triangle.
-            if twin == NONE
-                || twin < h
-                || mesh.is_constrained(h)
-                || mesh.triangle(t).is_void()
-                || !mesh.is_convex(h)
-            {
-                continue;
-            }
-            let mut now = 0.0;
-            for t in [t, triangle_of(twin)] {
-                if errors[t as usize].is_nan() {
-                    let (error, pixels) = squared_error(target, mesh.corners(t), height(mesh.triangle(t).v));
-                    errors[t as usize] = error;
-                    work += pixels;
-                }
-                now += errors[t as usize];
-            }
-            let (a, b, c, d) = (mesh.origin(h), mesh.dest(h), mesh.apex(h), mesh.apex(twin));
-            let mut error_of = |v: [u32; 3]| {
-                let (error, pixels) = squared_error(target, v.map(|v| mesh.point(v)), height(v));
-                work += pixels;
-                error
-            };
-            let first = error_of([c, a, d]);
-            if first >= now {
-                continue;
-            }
-            let flipped = [first, error_of([c, d, b])];
-            if flipped[0] + flipped[1] < now * (1.0 - 1e-9) {
-                mesh.flip(h);
-                errors[t as usize] = flipped[0];
-                errors[triangle_of(twin) as usize] = flipped[1];
-                flips += 1;
-            }
-        }
-        progress.poll(4 * work, || f64::from(t) / f64::from(count))?;
-    }
-    Ok(flips)
 }

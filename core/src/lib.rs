@@ -1,8 +1,9 @@
 //! Exact incremental Delaunay refinement of digital elevation models.
 //!
 //! Modules, each using only those above it: `predicate`, `grid`, `mesh` (`check`,
-//! `constrain`), `scan`, `noise`, `scale`, `outline`, `queue`, `refine`, `fit`, `pipeline`;
-//! `python` is the binding.
+//! `constrain`), `scan`, `lanes`, `patch`, `facet`, `noise`, `scale`, `outline`, `queue`,
+//! `refine`, `tiles`, `ladder`, `sight` (`moments`, `owned`), `fit` (`normal`), `flip`,
+//! `pipeline`; `python` is the binding.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
@@ -14,6 +15,7 @@ pub mod domain;
 pub mod error;
 pub mod facet;
 pub mod fit;
+pub mod flip;
 pub mod grid;
 pub mod label;
 pub mod ladder;
@@ -22,9 +24,12 @@ pub mod locate;
 pub mod measure;
 pub mod memory;
 pub mod mesh;
+pub mod moments;
 pub mod noise;
+pub mod normal;
 pub mod order;
 pub mod outline;
+pub mod owned;
 pub mod patch;
 pub mod pipeline;
 pub mod predicate;
@@ -39,6 +44,7 @@ pub mod scan;
 pub mod seams;
 pub mod select;
 pub mod sieve;
+pub mod sight;
 pub mod simplify;
 pub mod surface;
 pub mod threads;
@@ -46,3 +52,4 @@ pub mod tiles;
 pub mod tiling;
 mod top;
 pub mod triangle;
+pub mod visited;

@@ -56,15 +56,38 @@ pub fn scramble(i: u64) -> u64 {
     x ^ (x >> 31)
 }
 
+/// Sorts by place, what has the same one staying in its order; digit by digit from the last.
+fn sorted_by_place(mut order: Vec<(u64, u32)>) -> Vec<(u64, u32)> {
+    const BITS: u32 = 11;
+    let digit = |place: u64, shift: u32| (place >> shift) as usize & ((1 << BITS) - 1);
+    let highest = order.iter().fold(0, |bits, (place, _)| bits | place);
+    let mut other = vec![(0, 0); order.len()];
+    for shift in (0..u64::BITS - highest.leading_zeros()).step_by(BITS as usize) {
+        let mut next = [0; 1 << BITS];
+        order.iter().for_each(|&(place, _)| next[digit(place, shift)] += 1);
+        let mut end = 0;
+        for next in &mut next {
+            (*next, end) = (end, end + *next);
+        }
+        for &entry in &order {
+            let next = &mut next[digit(entry.0, shift)];
+            other[*next] = entry;
+            *next += 1;
+        }
+        std::mem::swap(&mut order, &mut other);
+    }
+    order
+}
+
 /// Sorts the triangles along the curve, and the vertices by the first triangle that
 /// uses them.
 pub fn by_place(surface: &mut Surface, progress: &mut Progress) -> Result<()> {
     let mesh = &surface.mesh;
     let count = mesh.triangles().len() as u32;
-    memory::ensure(64 * mesh.triangles().len() + 48 * mesh.points().len())?;
-    let mut order: Vec<(u64, u32)> = (0..count).map(|t| (place_of(mesh.corners(t)), t)).collect();
+    memory::ensure(80 * mesh.triangles().len() + 48 * mesh.points().len())?;
+    let order: Vec<(u64, u32)> = (0..count).map(|t| (place_of(mesh.corners(t)), t)).collect();
     progress.stage("order")?;
-    order.sort_unstable();
+    let order = sorted_by_place(order);
     progress.stage("order")?;
     let mut new_triangle = vec![0; count as usize];
     for (new, &(_, old)) in order.iter().enumerate() {
@@ -98,4 +121,22 @@ pub fn by_place(surface: &mut Surface, progress: &mut Progress) -> Result<()> {
     surface.is_fixed = old_vertex.iter().map(|&v| surface.is_fixed[v as usize]).collect();
     surface.mesh.replace(points, triangles);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn places_are_sorted_as_by_comparison(
+            places in prop::collection::vec(prop_oneof![0u64..50, 0u64..1 << 40, any::<u64>()], 0..300),
+        ) {
+            let order: Vec<(u64, u32)> = places.into_iter().zip(0..).collect();
+            let mut expected = order.clone();
+            expected.sort();
+            prop_assert_eq!(sorted_by_place(order), expected);
+        }
+    }
 }

@@ -3,7 +3,8 @@
 use crate::beside::{beside_hard_edges, leave_out};
 use crate::domain::{domain, Constraints};
 use crate::error::{Error, Result};
-use crate::fit::{fit_heights, flip_pass, Blend};
+use crate::fit::{fit_heights, Blend};
+use crate::flip::{edges, flip_pass};
 use crate::grid::{Grid, Height};
 use crate::ladder::refine;
 use crate::measure::count_covered;
@@ -17,6 +18,7 @@ use crate::progress::Progress;
 use crate::refine::{Refiner, Rule, Stop};
 use crate::repair::repair;
 use crate::scale::{choose, gaussian, noise_left};
+use crate::sight::Sight;
 use crate::surface::Surface;
 use crate::tiles::release_seams;
 use crate::tiling::Tiling;
@@ -281,7 +283,7 @@ fn fit<'a, T: Height>(
 ) -> Result<Cow<'a, [T]>> {
     progress.stage("fit")?;
     if noise == 0.0 || sigma == [0.0; 2] {
-        fit_heights(surface, data, progress)?;
+        fit_heights(surface, &Sight::of(surface, data, progress)?, progress)?;
         return Ok(Cow::Borrowed(data.z()));
     }
     let random_sign = |i: u64| if scramble(i) & 1 == 0 { 1.0 } else { -1.0 };
@@ -304,16 +306,21 @@ fn flip<T: Height>(
     options: &Options,
     progress: &mut Progress,
 ) -> Result<bool> {
+    if options.flips == 0 {
+        return Ok(true);
+    }
+    progress.stage("flip")?;
+    let mut seen = Sight::of(surface, target, progress)?;
+    let mut open = edges(&surface.mesh);
     for round in 0..options.flips {
-        progress.stage("flip")?;
-        if flip_pass(surface, target, progress)? == 0 {
+        if flip_pass(surface, target, &mut seen, &mut open, progress)? == 0 {
             return Ok(round == 0);
         }
         if options.fit {
-            fit_heights(surface, target, progress)?;
+            fit_heights(surface, &seen, progress)?;
         }
     }
-    Ok(options.flips == 0)
+    Ok(false)
 }
 
 /// Brings every pixel of `data` back within the tolerance: vertices are moved to

@@ -5,7 +5,8 @@ mod common;
 
 use common::{full, hills, quietly, AUTO};
 use dem2tin_core::error::Error;
-use dem2tin_core::fit::{fit_heights, flip_pass};
+use dem2tin_core::fit::fit_heights;
+use dem2tin_core::flip::{edges, flip_pass};
 use dem2tin_core::grid::Grid;
 use dem2tin_core::measure::{errors, rasterise};
 use dem2tin_core::noise::spikes;
@@ -13,6 +14,7 @@ use dem2tin_core::pipeline::triangulate;
 use dem2tin_core::predicate::Metric;
 use dem2tin_core::progress::Progress;
 use dem2tin_core::scale::gaussian;
+use dem2tin_core::sight::Sight;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
@@ -60,8 +62,13 @@ fn long_work_can_be_cancelled_half_way() {
     let done = quietly(|p| triangulate(&grid, Metric::SQUARE, &full(AUTO, 9000), p)).unwrap();
     assert!(is_cancelled_within(|p| gaussian(&grid, [2.0, 2.0], p)));
     assert!(is_cancelled_within(|p| spikes(&grid, 0.0, p)));
-    assert!(is_cancelled_within(|p| fit_heights(&mut done.surface.clone(), &grid, p)));
+    let seen = || quietly(|p| Sight::of(&done.surface, &grid, p)).unwrap();
+    assert!(is_cancelled_within(|p| Sight::of(&done.surface, &grid, p)));
+    assert!(is_cancelled_within(|p| fit_heights(&mut done.surface.clone(), &seen(), p)));
     assert!(is_cancelled_within(|p| errors(&done.surface.mesh, &done.surface.z, &grid, p)));
     assert!(is_cancelled_within(|p| rasterise::<f32>(&done.surface.mesh, &done.surface.z, SIDE, SIDE, p)));
-    assert!(is_cancelled_within(|p| flip_pass(&mut done.surface.clone(), &grid, p)));
+    let open = || edges(&done.surface.mesh);
+    assert!(is_cancelled_within(|p| {
+        flip_pass(&mut done.surface.clone(), &grid, &mut seen(), &mut open(), p)
+    }));
 }
