@@ -52,7 +52,8 @@ pub fn refine<T: Height>(
     let (shared, tiles) = cut(surface, tiling)?;
     let mut ladder = Ladder { shared, tiles, seams, tiling, grid, rule };
     let stop = if max_points >= grid.rows() * grid.cols() {
-        ladder.descend(f64::NEG_INFINITY, |_| usize::MAX, usize::MAX, progress)?;
+        let rooms = vec![usize::MAX; ladder.tiles.len()];
+        ladder.descend(f64::NEG_INFINITY, &rooms, usize::MAX, progress)?;
         Stop::Tolerance
     } else {
         ladder.count_down(max_points, progress)?
@@ -81,9 +82,11 @@ impl<T: Height> Ladder<'_, T> {
         self.shared.count() + self.tiles.iter().map(Tile::inserted).sum::<usize>()
     }
 
-    /// Vertices of all tiles, those on seams counted in each.
-    fn vertices(&self) -> f64 {
-        self.tiles.iter().map(|tile| tile.refiner.count()).sum::<usize>() as f64
+    /// How many vertices each tile may get: its share of `all`, by those it has, and `slack`.
+    fn rooms(&self, all: f64, slack: usize) -> Vec<usize> {
+        let counts: Vec<usize> = self.tiles.iter().map(|tile| tile.refiner.count()).collect();
+        let share = all / counts.iter().sum::<usize>().max(1) as f64;
+        counts.into_iter().map(|count| (share * count as f64) as usize + slack).collect()
     }
 
     fn largest_priority(&self) -> f64 {
@@ -94,7 +97,7 @@ impl<T: Height> Ladder<'_, T> {
     fn count_down(&mut self, max_points: usize, progress: &mut Progress) -> Result<Stop> {
         progress.part([0.0, 0.0]);
         // Nothing is inserted yet: all triangles are queued.
-        self.descend(f64::INFINITY, |_| 0, 0, progress)?;
+        self.descend(f64::INFINITY, &vec![0; self.tiles.len()], 0, progress)?;
         let (mut level, mut steepness) = (self.largest_priority(), STEEPNESS);
         let most = max_points as f64;
         loop {
@@ -118,60 +121,68 @@ impl<T: Height> Ladder<'_, T> {
                 // All tiles and seams together must not take more than there is room for.
                 let share = (2.0 * (wanted / before - 1.0)).min(0.7 * room / before);
                 let slack = SLACK.min((0.15 * room / self.tiles.len() as f64) as usize);
-                let share = share * before / self.vertices();
-                let tile_room = |tile: &Tile| (share * tile.refiner.count() as f64) as usize + slack;
-                self.descend(next, tile_room, (0.15 * room) as usize, progress)?;
+                let rooms = self.rooms(share * before, slack);
+                self.descend(next, &rooms, (0.15 * room) as usize, progress)?;
             } else {
                 self.try_out(next, max_points - count, progress)?;
             }
             let grown = (self.count() as f64 / before).ln();
             // Where nothing came of it the next rung goes further.
-            let observed = if grown > 0.0 { grown / (level / next).ln().max(1e-9) } else { 0.5 * steepness };
-            steepness = observed.clamp(0.25, 100.0);
+            let observed = if grown > 0.0 { grown / (level / next).ln() } else { 0.5 * steepness };
+            if next < level {
+                steepness = observed.clamp(0.25, 100.0);
+            }
             level = next;
         }
     }
 
     /// One rung: new seam vertices, at most `on_seams`, and in each tile what is over the
-    /// level, but no more than `room` vertices.
+    /// level, but no more vertices than its room.
     fn descend(
         &mut self,
         level: f64,
-        room: impl Fn(&Tile) -> usize + Sync,
+        rooms: &[usize],
         on_seams: usize,
         progress: &mut Progress,
     ) -> Result<()> {
         let points = self.refine_seams(level, on_seams);
         let (grid, rule, tiling) = (self.grid, self.rule, self.tiling);
-        spread(progress, self.tiles.iter_mut().zip(points), |(tile, points), progress| {
-            let mut patch = tile.prepare(grid, rule, tiling, &points, progress)?;
-            let goal = Goal { points: tile.refiner.count().saturating_add(room(tile)), level };
-            tile.refiner.refine(grid, &mut patch, rule, goal, progress, |_| ())?;
-            tile.refiner.compact();
-            Ok(())
-        })?;
+        spread(
+            progress,
+            self.tiles.iter_mut().zip(points).zip(rooms),
+            |((tile, points), &room), progress| {
+                let mut patch = tile.prepare(grid, rule, tiling, &points, progress)?;
+                let goal = Goal { points: tile.refiner.count().saturating_add(room), level };
+                tile.refiner.refine(grid, &mut patch, rule, goal, progress, |_| ())?;
+                tile.refiner.compact();
+                Ok(())
+            },
+        )?;
         Ok(())
     }
 
     /// The last rung: goes down to the level in copies of the tiles, and then in the tiles
     /// themselves as far as the `left` vertices reach that come first in all of them.
     fn try_out(&mut self, level: f64, left: usize, progress: &mut Progress) -> Result<()> {
+        let rooms = self.rooms(4.0 * left as f64, SLACK);
         let points = self.refine_seams(level, left / 8);
         let left = left.saturating_sub(points.iter().map(Vec::len).sum::<usize>() / 2);
         let (grid, rule, tiling) = (self.grid, self.rule, self.tiling);
-        let share = 4.0 * left as f64 / self.vertices();
-        let trials = spread(progress, self.tiles.iter_mut().zip(points), |(tile, points), progress| {
-            let mut patch = tile.prepare(grid, rule, tiling, &points, progress)?;
-            let mut copy = tile.refiner.clone();
-            let room = (share * tile.refiner.count() as f64) as usize + SLACK;
-            let goal = Goal { points: copy.count() + room, level };
-            let (mut history, mut lowest) = (Vec::new(), f64::INFINITY);
-            let reached = copy.refine(grid, &mut patch, rule, goal, progress, |priority| {
-                lowest = lowest.min(priority);
-                history.push(lowest);
-            })?;
-            Ok(Trial { history, is_cut_short: reached == Reached::Points })
-        })?;
+        let trials = spread(
+            progress,
+            self.tiles.iter_mut().zip(points).zip(rooms),
+            |((tile, points), room), progress| {
+                let mut patch = tile.prepare(grid, rule, tiling, &points, progress)?;
+                let mut copy = tile.refiner.clone();
+                let goal = Goal { points: copy.count() + room, level };
+                let (mut history, mut lowest) = (Vec::new(), f64::INFINITY);
+                let reached = copy.refine(grid, &mut patch, rule, goal, progress, |priority| {
+                    lowest = lowest.min(priority);
+                    history.push(lowest);
+                })?;
+                Ok(Trial { history, is_cut_short: reached == Reached::Points })
+            },
+        )?;
         let taken = first_of_all(&trials, left);
         spread(progress, self.tiles.iter_mut().zip(taken), |(tile, taken), progress| {
             let mut patch = tile.prepare(grid, rule, tiling, &[], progress)?;
@@ -190,7 +201,11 @@ impl<T: Height> Ladder<'_, T> {
         let mut points = vec![Vec::new(); self.tiles.len()];
         for point in self.seams.refine(self.grid, self.rule, level, self.tiling, most) {
             let number = self.shared.add(&point);
-            point.tiles.iter().for_each(|&tile| points[place[tile]].push((point, number)));
+            for tile in point.tiles {
+                if let Some(points) = points.get_mut(place[tile]) {
+                    points.push((point, number));
+                }
+            }
         }
         points
     }
