@@ -3,10 +3,14 @@
 
 use crate::error::{Error, Result};
 
+/// Asked for beyond what is counted: other threads take memory at the same time, and short
+/// lists are not asked for.
+const MARGIN: usize = 16 << 20;
+
 /// Fails if `bytes` more cannot be had now. Errors: `out-of-memory`.
 pub fn ensure(bytes: usize) -> Result<()> {
     let mut probe: Vec<u8> = Vec::new();
-    let is_there = probe.try_reserve_exact(bytes).is_ok();
+    let is_there = probe.try_reserve_exact(bytes.saturating_add(MARGIN)).is_ok();
     // Looked at, so that the compiler does not leave out the allocation.
     std::hint::black_box(&probe);
     if is_there {
