@@ -114,7 +114,7 @@ def coast(rows=3601):
 @pytest.fixture(scope="module")
 def sea():
     # In one piece: tiles would have no edges of the sea's size.
-    return tin.triangulate(coast(), tolerance=2.0, tile=0)
+    return tin.triangulate(coast(), tolerance=0.5, tile=0)
 
 
 def test_long_edges_are_split_so_that_they_follow_the_ground(sea):
