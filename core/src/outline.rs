@@ -41,6 +41,12 @@ pub fn outline<T: Height>(grid: &Grid<T>, shape: &Shape, progress: &mut Progress
         let plain = Shape { sieve: 0, ..*shape };
         return outline(&mask, &plain, progress);
     }
+    if (0..grid.rows()).all(|row| grid.row(row).iter().fold(true, |all, z| all & !z.to_f64().is_nan())) {
+        // Without voids it is the border of the raster: nothing to trace.
+        let (right, bottom) = (grid.cols() - 1, grid.rows() - 1);
+        let corners = [(0, 0), (right, 0), (right, bottom), (0, bottom), (0, 0)];
+        return Ok(vec![corners.map(|(col, row)| Point::pixel(col, row)).to_vec()]);
+    }
     let centre = |&(col, row): &(i32, i32)| Point::pixel(col as usize, row as usize);
     let mut borders: Vec<Vec<Point>> = Vec::new();
     for chain in trace(grid, progress)? {

@@ -180,8 +180,10 @@ pub fn triangulate<T: Height>(
         stop = if stop == Stop::Tolerance { repaired } else { stop };
     }
 
-    progress.stage("order")?;
-    by_place(&mut surface, progress)?;
+    if options.fit || options.flips > 0 || tiling.count() == 1 {
+        progress.stage("order")?;
+        by_place(&mut surface, progress)?;
+    }
     let target = if options.fit {
         fit(&mut surface, &data, finest, noise, scales[scales.len() - 1], progress)?
     } else {

@@ -16,7 +16,7 @@ pub struct Tiling {
 /// one and a half.
 fn cuts(pixels: usize, step: usize) -> Vec<usize> {
     let last = pixels - 1;
-    let count = if step == 0 { 1 } else { ((last + step / 2) / step).max(1) };
+    let count = (last + step / 2).checked_div(step).unwrap_or(1).max(1);
     (0..count).map(|i| i * step).chain([last]).collect()
 }
 
@@ -40,7 +40,7 @@ impl Tiling {
 
     /// The tile that holds the centroid of a triangle.
     pub fn tile_of(&self, [a, b, c]: [Point; 3]) -> usize {
-        let pixel = |a: i32, b: i32, c: i32| (i64::from(a) + i64::from(b) + i64::from(c)) / 3 >> SUB_BITS;
+        let pixel = |a: i32, b: i32, c: i32| ((i64::from(a) + i64::from(b) + i64::from(c)) / 3) >> SUB_BITS;
         let part = |cuts: &[usize], at: i64| cuts[1..cuts.len() - 1].partition_point(|&cut| cut as i64 <= at);
         let i = part(&self.columns, pixel(a.x, b.x, c.x));
         part(&self.rows, pixel(a.y, b.y, c.y)) * (self.columns.len() - 1) + i

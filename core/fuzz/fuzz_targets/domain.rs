@@ -72,7 +72,16 @@ impl<'a> Arbitrary<'a> for Input {
         let z = (0..rows * cols)
             .map(|i| Ok(if u8::arbitrary(u)? < 200 { (i * i % 7) as f64 } else { f64::NAN }))
             .collect::<Result<_>>()?;
-        Ok(Input { rows, cols, metric, shape, constraints, is_plain: u.arbitrary()?, tile: u.int_in_range(0..=4)?, z })
+        Ok(Input {
+            rows,
+            cols,
+            metric,
+            shape,
+            constraints,
+            is_plain: u.arbitrary()?,
+            tile: u.int_in_range(0..=4)?,
+            z,
+        })
     }
 }
 
@@ -97,10 +106,10 @@ fn options(is_plain: bool, shape: Shape, constraints: Constraints, tile: usize) 
 }
 
 fuzz_target!(|input: Input| {
-    let Input { rows, cols, metric, shape, constraints, is_plain, z } = input;
+    let Input { rows, cols, metric, shape, constraints, is_plain, tile, z } = input;
     let Ok(grid) = Grid::new(&z, rows, cols) else { unreachable!("the sides are 2 or more") };
     let mut report = |_: &'static str, _: f64| true;
-    let options = options(is_plain, shape, constraints);
+    let options = options(is_plain, shape, constraints, tile);
     match triangulate(&grid, metric, &options, &mut Progress::new(&mut report)) {
         Ok(done) => {
             let Surface { mesh, z, .. } = done.surface;

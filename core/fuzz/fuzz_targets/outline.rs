@@ -8,9 +8,9 @@ use dem2tin_core::grid::Grid;
 use dem2tin_core::measure::rasterise;
 use dem2tin_core::outline::{trace, Shape};
 use dem2tin_core::predicate::{orient2d, Metric, UNIT};
-use dem2tin_core::tiling::Tiling;
 use dem2tin_core::progress::Progress;
 use dem2tin_core::simplify::{simplify, Chain};
+use dem2tin_core::tiling::Tiling;
 use dem2tin_core_fuzz::{assert_sound, in_complex, metric};
 use libfuzzer_sys::fuzz_target;
 
@@ -47,7 +47,14 @@ fuzz_target!(|input: Input| {
     let mut report = |_: &'static str, _: f64| true;
     let progress = &mut Progress::new(&mut report);
     let inside = in_complex(&grid);
-    let mesh = match domain(&grid, metric, &Shape::default(), &Constraints::default(), &Tiling::new(grid.rows(), grid.cols(), 0), progress) {
+    let mesh = match domain(
+        &grid,
+        metric,
+        &Shape::default(),
+        &Constraints::default(),
+        &Tiling::new(grid.rows(), grid.cols(), 0),
+        progress,
+    ) {
         Ok(surface) => surface.mesh,
         Err(error) => {
             assert!(matches!(error, Error::Input { code: "no-area", .. }), "{error:?}");
