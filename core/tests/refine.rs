@@ -8,6 +8,7 @@ use common::{
     sorted, triangle_set, Random, AUTO, MAX, PAPER,
 };
 use dem2tin_core::grid::Grid;
+use dem2tin_core::lanes::Vectors;
 use dem2tin_core::pipeline::{Options, Scales};
 use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::refine::{quantile_index, Refiner, Rule, Stop};
@@ -231,4 +232,19 @@ fn scales_share_the_points_evenly_unless_told_otherwise() {
     let result = |options: &Options| fingerprint(&run(&z, 30, 30, options).unwrap());
     assert_eq!(result(&even), result(&told));
     assert_ne!(result(&even), result(&greedy));
+}
+
+#[test]
+fn all_vectors_give_the_same_mesh() {
+    let (rows, cols) = (90, 110);
+    let z: Vec<f32> = hills(rows, cols, 8).into_iter().map(|z| z as f32).collect();
+    let grid = Grid::new(&z, rows, cols).unwrap();
+    for rule in [MAX, PAPER, AUTO] {
+        let mesh = |vectors| {
+            let mut refiner = Refiner::with_vectors(outlined(&grid, Metric::SQUARE).unwrap(), vectors);
+            quietly(|progress| refiner.run(&grid, &rule, 900, progress)).unwrap();
+            (refiner.surface.mesh.points().to_vec(), triangle_set(&refiner.surface.mesh))
+        };
+        assert_eq!(mesh(Vectors::Plain), mesh(Vectors::best()));
+    }
 }
