@@ -166,7 +166,7 @@ pub fn errors<T: Height>(
 ) -> Result<(Errors, Vec<f64>)> {
     let (pixels, cols) = (grid.z().len(), grid.cols());
     let kept = beyond(pixels) + 2;
-    memory::ensure(mesh.triangles().len() * 8 + 6 * kept + progress.threads() * BAND * cols * 12)?;
+    memory::ensure(mesh.triangles().len() * 8 + 12 * kept + progress.threads() * BAND * cols * 12)?;
     // Bits, which of numbers that are not negative sort like the values.
     let largest: Vec<AtomicU64> = mesh.triangles().iter().map(|_| AtomicU64::new(0)).collect();
     let top = Mutex::new(Top::new(kept));
@@ -190,8 +190,8 @@ pub fn errors<T: Height>(
         })?;
         let open = || top.lock().unwrap_or_else(PoisonError::into_inner);
         let least = open().least();
-        let known = errors.iter().filter(|error| error.is_finite()).map(|error| error.abs() as f32);
-        let large: Vec<f32> = known.filter(|&error| error >= least).collect();
+        let known = errors.iter().filter(|error| error.is_finite()).map(|error| error.abs());
+        let large: Vec<f64> = known.filter(|&error| error >= least).collect();
         open().extend(&large);
         Ok(Sums::over(&errors, heights))
     })?;
@@ -203,7 +203,7 @@ pub fn errors<T: Height>(
     let result = Errors {
         rmse: (all.squares / n).sqrt(),
         mae: all.absolute / n,
-        p95: p95.map_or(0.0, f64::from),
+        p95: p95.unwrap_or(0.0),
         max: largest.iter().fold(0.0, |most, &error| most.max(error)),
         mean: all.signed / n,
         covered: all.covered,

@@ -95,3 +95,13 @@ fn heights_whose_squares_underflow_are_fitted() {
         }
     }
 }
+
+#[test]
+fn errors_beyond_single_precision_are_finite() {
+    let z: Vec<f64> = hills(12, 12, 2).into_iter().map(|z| 1e90 * z).collect();
+    let done = run(&z, 12, 12, &plain(MAX, 9)).unwrap();
+    let grid = Grid::new(&z, 12, 12).unwrap();
+    let (told, _) =
+        quietly(|p| dem2tin_core::measure::errors(&done.surface.mesh, &done.surface.z, &grid, p)).unwrap();
+    assert!(told.p95.is_finite() && told.p95 > 1e80 && told.p95 <= told.max);
+}
