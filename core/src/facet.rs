@@ -56,6 +56,9 @@ const MAX_ROWS: i32 = 64;
 /// half a unit in the last place, of less than eight roundings).
 const ROUNDING: f64 = 1.0 / (1 << 20) as f64;
 
+/// Heights up to which nothing overflows.
+const RANGE: f64 = 1e37;
+
 /// And where they are tiny.
 const TINY: f64 = 1e-36;
 
@@ -74,6 +77,11 @@ impl Facet {
     /// How far an error in single precision can be off.
     pub fn rounding(&self, error: f32) -> f64 {
         ROUNDING * (self.largest + f64::from(error)) + TINY
+    }
+
+    /// Whether single precision overflows nowhere on the way.
+    pub fn is_in_range(&self, patch: &Patch) -> bool {
+        self.largest + patch.largest() < RANGE
     }
 
     /// Whether single precision holds its plane as it is: one that is level and not too finely

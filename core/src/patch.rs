@@ -24,6 +24,8 @@ pub struct Patch {
     reference: f64,
     /// Whether nothing was rounded: so it is where the raster is in single precision.
     is_exact: bool,
+    /// The largest |height| over the reference.
+    largest: f64,
 }
 
 impl Patch {
@@ -55,7 +57,7 @@ impl Patch {
         let middle = 0.5 * (low + high);
         let is_far = middle.abs() > high - low;
         let coarse = if is_far && middle.is_finite() { f64::from(middle as f32) } else { 0.0 };
-        let low = if low.is_finite() { low } else { 0.0 };
+        let lowest = if low.is_finite() { low } else { 0.0 };
         let mut z = vec![f32::NAN; stride * rows + LANES];
         let mut fill = |reference: f64, may_round: bool| {
             let mut is_exact = true;
@@ -71,15 +73,16 @@ impl Patch {
             }
             is_exact
         };
-        let (reference, is_exact) = if fill(low, false) {
-            (low, true)
+        let (reference, is_exact) = if fill(lowest, false) {
+            (lowest, true)
         } else if fill(coarse, false) {
             (coarse, true)
         } else {
-            fill(low, true);
-            (low, false)
+            fill(lowest, true);
+            (lowest, false)
         };
-        Ok(Patch { z, stride, window, reference, is_exact })
+        let largest = if low <= high { (low - reference).abs().max((high - reference).abs()) } else { 0.0 };
+        Ok(Patch { z, stride, window, reference, is_exact, largest })
     }
 
     pub fn reference(&self) -> f64 {
@@ -88,6 +91,10 @@ impl Patch {
 
     pub fn is_exact(&self) -> bool {
         self.is_exact
+    }
+
+    pub fn largest(&self) -> f64 {
+        self.largest
     }
 
     /// Height of a candidate.

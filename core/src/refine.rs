@@ -386,6 +386,9 @@ enum Verdict {
 
 #[inline]
 fn verdict(patch: &Patch, facet: &Facet, error: f32, tolerance: f64) -> Verdict {
+    if !facet.is_in_range(patch) {
+        return Verdict::Unclear;
+    }
     let rounding = facet.rounding(error);
     let error = f64::from(error);
     if error + rounding <= tolerance || error < 0.0 || (error == 0.0 && patch.is_exact() && facet.is_exact())

@@ -105,3 +105,13 @@ fn errors_beyond_single_precision_are_finite() {
         quietly(|p| dem2tin_core::measure::errors(&done.surface.mesh, &done.surface.z, &grid, p)).unwrap();
     assert!(told.p95.is_finite() && told.p95 > 1e80 && told.p95 <= told.max);
 }
+
+#[test]
+fn a_tolerance_holds_where_single_precision_overflows() {
+    let z: Vec<f64> = hills(12, 12, 2).into_iter().map(|z| 1e97 * z).collect();
+    for tile in [0, 4] {
+        let options = Options { tile, ..plain(Rule { tolerance: 2e97, ..MAX }, usize::MAX) };
+        let done = run(&z, 12, 12, &options).unwrap();
+        assert!(residuals(&done, &z, 12).iter().all(|&e| e <= 2.000001e97));
+    }
+}
