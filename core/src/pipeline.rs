@@ -174,8 +174,11 @@ pub fn triangulate<T: Height>(
         let image = Grid::new(&finest, grid.rows(), grid.cols())?;
         (surface, stop) = refine(surface, &tiling, &image, &rule, limit, progress)?;
     }
-    let touched = release_seams(&mut surface.mesh);
+    let mut touched = release_seams(&mut surface.mesh);
     if bounded {
+        // Pixels on seams were no candidates, also where a seam runs along another constraint.
+        let mesh = &surface.mesh;
+        touched.extend((0..mesh.triangles().len() as u32).filter(|&t| tiling.is_on_seam(mesh.corners(t))));
         let repaired = repair(&mut surface, &data, options.rule.tolerance, &touched, most, progress)?;
         stop = if stop == Stop::Tolerance { repaired } else { stop };
     }

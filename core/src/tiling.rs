@@ -46,6 +46,17 @@ impl Tiling {
         part(&self.rows, pixel(a.y, b.y, c.y)) * (self.columns.len() - 1) + i
     }
 
+    /// Whether a triangle has a part on a seam, or on what would be one if nothing lay there.
+    pub fn is_on_seam(&self, [a, b, c]: [Point; 3]) -> bool {
+        let crosses = |cuts: &[usize], low: i32, high: i32| {
+            let inner = &cuts[1..cuts.len() - 1];
+            let at = |&cut: &usize| Point::pixel(cut, 0).x;
+            inner.get(inner.partition_point(|cut| at(cut) < low)).is_some_and(|cut| at(cut) <= high)
+        };
+        crosses(&self.columns, a.x.min(b.x).min(c.x), a.x.max(b.x).max(c.x))
+            || crosses(&self.rows, a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y))
+    }
+
     /// The seams, as the points where they start, meet and end.
     pub fn seams(&self) -> Vec<Vec<Point>> {
         let inner = |cuts: &[usize]| cuts[1..cuts.len() - 1].to_vec();
