@@ -52,4 +52,3 @@ pub mod tiles;
 pub mod tiling;
 mod top;
 pub mod triangle;
-pub mod visited;

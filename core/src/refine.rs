@@ -337,13 +337,10 @@ impl Refiner {
     ) -> Option<Ranked> {
         let worst = facet.collect(patch, self.vectors, &mut self.errors);
         // The maximum bounds every quantile; what fits exactly needs no point.
-        let is_exact = match verdict(patch, facet, worst.error, rule.tolerance) {
+        match verdict(patch, facet, worst.error, rule.tolerance) {
             Verdict::Within => return None,
-            Verdict::Beyond => false,
-            Verdict::Unclear => true,
-        };
-        if is_exact {
-            return rank_exactly(facet.exact(patch, grid), rule);
+            Verdict::Beyond => {}
+            Verdict::Unclear => return rank_exactly(facet.exact(patch, grid), rule),
         }
         let count = self.errors.values().len();
         let mut known = (1.0, worst.error);
