@@ -1,40 +1,41 @@
 //! Refinement in tiles: all of them down the same ladder of priorities.
 //!
-//! A stop by count has one level for the whole raster, not a density for each tile: every
-//! rung lowers the level for all tiles, and on the last one the histories of the tiles say
-//! together where it has to end.
+//! A stop by count has one level for the whole raster, not a density for each tile. What waits
+//! in the tiles says about how many points each will take down to a level; every rung goes to
+//! the level where they add up, and the last ones, for ever fewer points, make up for what
+//! the forecast was off.
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
 use crate::patch::Patch;
 use crate::progress::Progress;
-use crate::refine::{Goal, Reached, Refiner, Rule, Stop};
+use crate::refine::{Goal, Refiner, Rule, Stop};
 use crate::seams::{SeamPoint, Seams};
 use crate::surface::Surface;
 use crate::threads::spread;
 use crate::tiles::{cut, merge, Shared, Tile};
 use crate::tiling::Tiling;
 
-/// Rungs that are taken as they come may lead up to this share of the points.
-const SURE: f64 = 0.93;
+/// Up to these shares of the points all tiles go down to one level; what is left then is
+/// shared out among them.
+const NEARLY: [f64; 3] = [0.9, 0.98, 0.996];
 
-/// From this share on what is left is tried.
-const ENOUGH: f64 = 0.85;
+/// A rung that would take less than this share of what is left does not pay.
+const WORTH: f64 = 0.3;
 
 /// How much a rung may multiply the points.
-const GROWTH: f64 = 6.0;
+const GROWTH: f64 = 20.0;
 
-/// How far a rung goes down if nothing is known yet: count ~ level^-steepness.
-const STEEPNESS: f64 = 2.0;
+/// How many times the points it is expected to need a tile may take on a rung.
+const ROOM: f64 = 2.0;
 
-/// The least that a rung lowers the level.
-const STEP: f64 = 0.98;
-
-/// What every tile may grow by in a rung, however few its points.
-const SLACK: usize = 16;
+/// What the worst pixel rules keeps this share of the number of seam edges back for `repair`:
+/// flips across released seams raise the largest error.
+const REPAIR: f64 = 0.08;
 
 /// Refines the surface on `grid` to `max_points` vertices with a height or the rule's
-/// tolerance, as [`Refiner::run`] does, in the tiles whose seams it has. Seams stay.
+/// tolerance, as [`Refiner::run`] does, in the tiles whose seams it has. Seams stay. A few of
+/// the vertices are left for their repair if the rule is the maximum.
 pub fn refine<T: Height>(
     surface: Surface,
     tiling: &Tiling,
@@ -53,13 +54,17 @@ pub fn refine<T: Height>(
     let mut ladder = Ladder { shared, tiles, seams, tiling, grid, rule };
     let stop = if max_points >= grid.rows() * grid.cols() {
         let rooms = vec![usize::MAX; ladder.tiles.len()];
-        ladder.descend(f64::NEG_INFINITY, &rooms, usize::MAX, progress)?;
+        let points = ladder.refine_seams(f64::NEG_INFINITY, usize::MAX);
+        ladder.descend(f64::NEG_INFINITY, &rooms, points, progress)?;
         Stop::Tolerance
     } else {
         ladder.count_down(max_points, progress)?
     };
     Ok((merge(ladder.shared, ladder.tiles)?, stop))
 }
+
+/// How many candidates of a tile wait at about which priority.
+type Waiting = Vec<(f64, usize)>;
 
 struct Ladder<'a, T> {
     shared: Shared,
@@ -70,69 +75,42 @@ struct Ladder<'a, T> {
     rule: &'a Rule,
 }
 
-/// What a tile would insert on a rung.
-struct Trial {
-    /// The lowest priority so far, after each vertex.
-    history: Vec<f64>,
-    is_cut_short: bool,
-}
-
 impl<T: Height> Ladder<'_, T> {
     fn count(&self) -> usize {
         self.shared.count() + self.tiles.iter().map(Tile::inserted).sum::<usize>()
-    }
-
-    /// How many vertices each tile may get: its share of `all`, by those it has, and `slack`.
-    fn rooms(&self, all: f64, slack: usize) -> Vec<usize> {
-        let counts: Vec<usize> = self.tiles.iter().map(|tile| tile.refiner.count()).collect();
-        let share = all / counts.iter().sum::<usize>().max(1) as f64;
-        counts.into_iter().map(|count| (share * count as f64) as usize + slack).collect()
-    }
-
-    fn largest_priority(&self) -> f64 {
-        self.tiles.iter().fold(0.0, |most, tile| most.max(tile.refiner.largest_priority()))
     }
 
     /// Refines down to `max_points`, or until nothing is left to do.
     fn count_down(&mut self, max_points: usize, progress: &mut Progress) -> Result<Stop> {
         progress.part([0.0, 0.0]);
         // Nothing is inserted yet: all triangles are queued.
-        self.descend(f64::INFINITY, &vec![0; self.tiles.len()], 0, progress)?;
-        let (mut level, mut steepness) = (self.largest_priority(), STEEPNESS);
-        let most = max_points as f64;
+        let none = vec![0; self.tiles.len()];
+        self.descend(f64::INFINITY, &none, vec![Vec::new(); none.len()], progress)?;
+        let mut outlook = Outlook::new(self.rule);
         loop {
             let count = self.count();
+            let repair = if self.rule.is_max() { REPAIR * self.seams.count() as f64 } else { 0.0 };
+            let max_points = max_points.saturating_sub(repair as usize);
+            let most = max_points as f64;
             if count >= max_points {
                 return Ok(Stop::Points);
             }
-            let waiting = self.largest_priority();
-            if waiting == 0.0 {
+            let waiting: Vec<Waiting> = self.tiles.iter().map(|tile| tile.refiner.waiting()).collect();
+            if !waiting.iter().flatten().any(|&(priority, _)| priority > 0.0) {
                 return Ok(Stop::Tolerance);
             }
-            let before = count as f64;
-            let room = SURE * most - before;
-            let is_sure = before < ENOUGH * most && room > (self.tiles.len() * SLACK) as f64;
-            let wanted = if is_sure { (SURE * most).min(GROWTH * before) } else { 1.02 * most };
-            let lower = waiting * STEP.min((wanted / before).powf(-1.0 / steepness));
-            // A tile that was held up on the last rung goes on first.
-            let next = if waiting > level { level } else { lower };
-            progress.part([before / most, (wanted / most).min(1.0)]);
-            if is_sure {
-                // All tiles and seams together must not take more than there is room for.
-                let share = (2.0 * (wanted / before - 1.0)).min(0.7 * room / before);
-                let slack = SLACK.min((0.15 * room / self.tiles.len() as f64) as usize);
-                let rooms = self.rooms(share * before, slack);
-                self.descend(next, &rooms, (0.15 * room) as usize, progress)?;
-            } else {
-                self.try_out(next, max_points - count, progress)?;
-            }
-            let grown = (self.count() as f64 / before).ln();
-            // Where nothing came of it the next rung goes further.
-            let observed = if grown > 0.0 { grown / (level / next).ln() } else { 0.5 * steepness };
-            if next < level {
-                steepness = observed.clamp(0.25, 100.0);
-            }
-            level = next;
+            let (before, left) = (count as f64, (max_points - count) as f64);
+            let target =
+                NEARLY.iter().map(|share| share * most).find(|target| target - before > WORTH * left);
+            let wanted = target.map_or(left, |target| target.min(GROWTH * before) - before);
+            progress.part([before / most, ((before + wanted) / most).min(1.0)]);
+            let level = outlook.level_for(wanted, &waiting);
+            let needs = outlook.needs(&waiting, level);
+            let points = self.refine_seams(level, (left / 8.0) as usize);
+            let left = max_points.saturating_sub(self.count());
+            let room = left.min((ROOM * wanted) as usize + 1);
+            self.descend(level, &share_out(room, &needs), points, progress)?;
+            outlook.learn((self.count() - count) as f64 / wanted);
         }
     }
 
@@ -142,52 +120,19 @@ impl<T: Height> Ladder<'_, T> {
         &mut self,
         level: f64,
         rooms: &[usize],
-        on_seams: usize,
+        points: Vec<Vec<(SeamPoint, u32)>>,
         progress: &mut Progress,
     ) -> Result<()> {
-        let points = self.refine_seams(level, on_seams);
         let (grid, rule, tiling) = (self.grid, self.rule, self.tiling);
-        spread(
-            progress,
-            self.tiles.iter_mut().zip(points).zip(rooms),
-            |((tile, points), &room), progress| {
-                let mut patch = tile.prepare(grid, rule, tiling, &points, progress)?;
-                let goal = Goal { points: tile.refiner.count().saturating_add(room), level };
-                tile.refiner.refine(grid, &mut patch, rule, goal, progress, |_| ())?;
-                tile.refiner.compact();
-                Ok(())
-            },
-        )?;
-        Ok(())
-    }
-
-    /// The last rung: goes down to the level in copies of the tiles, and then in the tiles
-    /// themselves as far as the `left` vertices reach that come first in all of them.
-    fn try_out(&mut self, level: f64, left: usize, progress: &mut Progress) -> Result<()> {
-        let rooms = self.rooms(4.0 * left as f64, SLACK);
-        let points = self.refine_seams(level, left / 8);
-        let left = left.saturating_sub(points.iter().map(Vec::len).sum::<usize>() / 2);
-        let (grid, rule, tiling) = (self.grid, self.rule, self.tiling);
-        let trials = spread(
-            progress,
-            self.tiles.iter_mut().zip(points).zip(rooms),
-            |((tile, points), room), progress| {
-                let mut patch = tile.prepare(grid, rule, tiling, &points, progress)?;
-                let mut copy = tile.refiner.clone();
-                let goal = Goal { points: copy.count() + room, level };
-                let (mut history, mut lowest) = (Vec::new(), f64::INFINITY);
-                let reached = copy.refine(grid, &mut patch, rule, goal, progress, |priority| {
-                    lowest = lowest.min(priority);
-                    history.push(lowest);
-                })?;
-                Ok(Trial { history, is_cut_short: reached == Reached::Points })
-            },
-        )?;
-        let taken = first_of_all(&trials, left);
-        spread(progress, self.tiles.iter_mut().zip(taken), |(tile, taken), progress| {
-            let mut patch = tile.prepare(grid, rule, tiling, &[], progress)?;
-            let goal = Goal { points: tile.refiner.count() + taken, level: f64::NEG_INFINITY };
-            tile.refiner.refine(grid, &mut patch, rule, goal, progress, |_| ())?;
+        let tiles = self.tiles.iter_mut().zip(points).zip(rooms);
+        let is_busy = |((tile, points), room): &((&mut Tile, Vec<_>), &usize)| {
+            **room > 0 || !points.is_empty() || !tile.is_started
+        };
+        let busy: Vec<_> = tiles.filter(is_busy).collect();
+        spread(progress, busy.into_iter(), |((tile, points), &room), progress| {
+            let mut patch = tile.prepare(grid, rule, tiling, &points, progress)?;
+            let goal = Goal { points: tile.refiner.count().saturating_add(room), level };
+            tile.refiner.refine(grid, &mut patch, rule, goal, progress)?;
             tile.refiner.compact();
             Ok(())
         })?;
@@ -211,20 +156,64 @@ impl<T: Height> Ladder<'_, T> {
     }
 }
 
-/// How many vertices of each trial are among the first `left` of all, by priority; of equal
-/// ones those of the first tile. What follows the end of one cut short is not known.
-fn first_of_all(trials: &[Trial], left: usize) -> Vec<usize> {
-    let ends = trials.iter().filter(|trial| trial.is_cut_short).filter_map(|trial| trial.history.last());
-    let floor = ends.fold(0.0f64, |most, &end| most.max(end));
-    let mut all: Vec<(f64, usize)> = (0..)
-        .zip(trials)
-        .flat_map(|(tile, trial)| trial.history.iter().map(move |&priority| (priority, tile)))
-        .filter(|entry| entry.0 >= floor)
-        .collect();
-    all.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    let mut taken = vec![0; trials.len()];
-    all.iter().take(left).for_each(|&(_, tile)| taken[tile] += 1);
-    taken
+/// How many points a triangle is going to need until its priority is down at a level:
+/// share (priority / level)^steepness.
+struct Outlook {
+    steepness: f64,
+    share: f64,
+}
+
+impl Outlook {
+    fn new(rule: &Rule) -> Self {
+        // Errors fall with this power of the area; the weight adds its own.
+        const ROUGHNESS: f64 = 0.6;
+        Outlook { steepness: (1.0 / (ROUGHNESS + rule.weight)).clamp(0.5, 4.0), share: 1.0 / rule.candidate }
+    }
+
+    /// Points for each tile.
+    fn needs(&self, waiting: &[Waiting], level: f64) -> Vec<f64> {
+        let needs = |&(priority, count): &(f64, usize)| {
+            let is_over = priority > level;
+            if is_over {
+                count as f64 * (priority / level).powf(self.steepness)
+            } else {
+                0.0
+            }
+        };
+        waiting.iter().map(|tile| self.share * tile.iter().map(needs).sum::<f64>()).collect()
+    }
+
+    /// The level that takes so many points.
+    fn level_for(&self, wanted: f64, waiting: &[Waiting]) -> f64 {
+        let (mut low, mut high) = (0, f64::MAX.to_bits());
+        while high - low > 1 << 30 {
+            let middle = low.midpoint(high);
+            if self.needs(waiting, f64::from_bits(middle)).iter().sum::<f64>() > wanted {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        // Something must be over the level.
+        f64::from_bits(low)
+    }
+
+    /// Takes in how many times the points expected it took.
+    fn learn(&mut self, ratio: f64) {
+        self.share *= ratio.clamp(0.25, 4.0);
+    }
+}
+
+/// Parts of `all` in the proportion of the needs, by the largest remainder.
+fn share_out(all: usize, needs: &[f64]) -> Vec<usize> {
+    let scale = all as f64 / needs.iter().sum::<f64>();
+    let exact: Vec<f64> = needs.iter().map(|need| need * scale).collect();
+    let mut shares: Vec<usize> = exact.iter().map(|&share| share as usize).collect();
+    let rest = all.saturating_sub(shares.iter().sum());
+    let mut order: Vec<usize> = (0..needs.len()).collect();
+    order.sort_by(|&a, &b| exact[b].fract().total_cmp(&exact[a].fract()).then(a.cmp(&b)));
+    order.iter().take(rest).for_each(|&i| shares[i] += 1);
+    shares
 }
 
 impl Tile {
@@ -262,14 +251,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_of_all_trials_are_taken() {
-        let trial = |history: &[f64], is_cut_short| Trial { history: history.to_vec(), is_cut_short };
-        let trials = [trial(&[9.0, 4.0, 4.0, 1.0], false), trial(&[8.0, 4.0, 2.0], false)];
-        assert_eq!(first_of_all(&trials, 3), [2, 1]);
-        assert_eq!(first_of_all(&trials, 5), [3, 2]);
-        assert_eq!(first_of_all(&trials, 100), [4, 3]);
-        let short = [trial(&[9.0, 4.0, 4.0, 1.0], false), trial(&[8.0, 5.0], true)];
-        assert_eq!(first_of_all(&short, 100), [1, 2]);
-        assert!(first_of_all(&[], 4).is_empty());
+    fn shares_add_up() {
+        assert_eq!(share_out(7, &[1.0, 2.0, 0.0, 4.0]), [1, 2, 0, 4]);
+        assert_eq!(share_out(8, &[1.0, 1.0, 1.0]), [3, 3, 2]);
+        assert_eq!(share_out(0, &[1.0]), [0]);
+        assert!(share_out(4, &[]).is_empty());
     }
 }

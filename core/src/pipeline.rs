@@ -175,11 +175,14 @@ pub fn triangulate<T: Height>(
         (surface, stop) = refine(surface, &tiling, &image, &rule, limit, progress)?;
     }
     let mut touched = release_seams(&mut surface.mesh);
-    if bounded {
+    if tiling.count() > 1 && (bounded || options.rule.is_max()) {
         // Pixels on seams were no candidates, also where a seam runs along another constraint.
         let mesh = &surface.mesh;
         touched.extend((0..mesh.triangles().len() as u32).filter(|&t| tiling.is_on_seam(mesh.corners(t))));
-        let repaired = repair(&mut surface, &data, options.rule.tolerance, &touched, most, progress)?;
+        // All points are used up if it is them that end the refinement.
+        let tolerance = if stop == Stop::Points { 0.0 } else { options.rule.tolerance };
+        let image = Grid::new(&finest, grid.rows(), grid.cols())?;
+        let repaired = repair(&mut surface, &image, tolerance, &touched, most, progress)?;
         stop = if stop == Stop::Tolerance { repaired } else { stop };
     }
 

@@ -79,10 +79,13 @@ impl Queue {
         Queue { open: BinaryHeap::new(), batch: Vec::new(), waiting, lowest: None, level: BUCKETS, local }
     }
 
-    /// The largest priority of a candidate that `is_current` accepts, 0 if there is none.
-    pub fn largest(&self, is_current: impl Fn(&Candidate) -> bool) -> f64 {
-        let all = self.open.iter().chain(&self.batch).chain(self.waiting.iter().flatten());
-        all.filter(|c| is_current(c)).fold(0.0, |most, c| most.max(c.priority))
+    /// How many candidates wait at about which priority. Stale ones count, too: see
+    /// [`Queue::compact`].
+    pub fn waiting(&self) -> Vec<(f64, usize)> {
+        let open = self.open.iter().chain(&self.batch).map(|c| (c.priority, 1));
+        let lists = self.waiting.iter().filter(|list| !list.is_empty());
+        let mean = |list: &[Candidate]| list.iter().map(|c| c.priority).sum::<f64>() / list.len() as f64;
+        open.chain(lists.map(|list| (mean(list), list.len()))).collect()
     }
 
     /// Drops stale entries and the room they took.

@@ -37,7 +37,7 @@ pub struct Rule {
 
 impl Rule {
     /// Garland and Heckbert's: nothing but the worst pixel counts.
-    fn is_max(&self) -> bool {
+    pub fn is_max(&self) -> bool {
         [self.priority, self.candidate, self.bound] == [1.0; 3] && self.weight == 0.0
     }
 
@@ -164,7 +164,7 @@ impl Refiner {
         let mut patch = self.patch(grid, window)?;
         self.start(grid, &patch, rule, progress)?;
         let goal = Goal { points: max_points, level: f64::NEG_INFINITY };
-        let reached = self.refine(grid, &mut patch, rule, goal, progress, |_| ())?;
+        let reached = self.refine(grid, &mut patch, rule, goal, progress)?;
         Ok(if reached == Reached::Points { Stop::Points } else { Stop::Tolerance })
     }
 
@@ -196,8 +196,7 @@ impl Refiner {
         Ok(())
     }
 
-    /// Inserts what is queued, most urgent first, up to the goal; `note` learns the priority
-    /// of each.
+    /// Inserts what is queued, most urgent first, up to the goal.
     pub fn refine<T: Height>(
         &mut self,
         grid: &Grid<T>,
@@ -205,7 +204,6 @@ impl Refiner {
         rule: &Rule,
         goal: Goal,
         progress: &mut Progress,
-        mut note: impl FnMut(f64),
     ) -> Result<Reached> {
         let (start, mut first_priority) = (self.count(), None);
         // Vertices there is memory for, with their triangles and candidates.
@@ -220,7 +218,6 @@ impl Refiner {
             let Some(best) = self.queue.pop_over(goal.level, goal.points - self.count(), is_current) else {
                 return Ok(Reached::Level);
             };
-            note(best.priority);
             let work = self.insert_candidate(grid, patch, rule, &best);
             let first = *first_priority.get_or_insert(best.priority);
             let (count, last) = (self.count(), rule.tolerance.max(goal.level));
@@ -233,10 +230,9 @@ impl Refiner {
         Ok(Reached::Points)
     }
 
-    /// The largest priority that waits, 0 if there is none.
-    pub fn largest_priority(&self) -> f64 {
-        let mesh = &self.surface.mesh;
-        self.queue.largest(|c| mesh.triangle(c.triangle).version == c.version)
+    /// How many candidates wait at about which priority; exact after [`Refiner::compact`].
+    pub fn waiting(&self) -> Vec<(f64, usize)> {
+        self.queue.waiting()
     }
 
     /// Gives back memory that is not in use.

@@ -58,6 +58,11 @@ impl Seams {
         Seams { edges }
     }
 
+    /// How many edges there are.
+    pub fn count(&self) -> usize {
+        self.edges.len()
+    }
+
     /// Splits edges whose priority is over its share of `level` and that are beyond theirs of
     /// the tolerance, until none is left or there are `most` new vertices; these in the order
     /// they were found.
