@@ -46,11 +46,15 @@ impl Errors {
     }
 }
 
-/// Wider triangles are walked by spans: too much of their box lies outside.
-const MAX_COLS: i32 = 3 * LANES as i32;
+/// In wider triangles it pays to find the rows that a strip of columns meets.
+const NARROW: i32 = 2 * LANES as i32;
 
-/// As are higher ones; the edge functions of lower ones fit 32 bits.
-const MAX_ROWS: i32 = 64;
+/// With sides in pixels up to this the edge functions fit 32 bits, those of the pixels of a
+/// strip beside the triangle included.
+const MAX_SIDE: i32 = 110;
+
+/// The same where the corners are pixels; larger triangles are walked by spans.
+const MAX_WHOLE_SIDE: i32 = 1 << 14;
 
 /// What single precision may be off, as a part of the heights involved (sixteen times
 /// half a unit in the last place, of less than eight roundings).
@@ -136,9 +140,32 @@ impl Facet {
         let ceil = |v: i32| (v + UNIT - 1) >> SUB_BITS;
         let (left, right) = (ceil(a.x.min(b.x).min(c.x)), a.x.max(b.x).max(c.x) >> SUB_BITS);
         let (top, bottom) = (ceil(a.y.min(b.y).min(c.y)), a.y.max(b.y).max(c.y) >> SUB_BITS);
-        if right - left < MAX_COLS && bottom - top < MAX_ROWS {
-            for left in (left..=right).step_by(LANES) {
-                self.walk_strip(patch, [left, top, bottom], visitor);
+        let (cols, rows) = (right - left, bottom - top);
+        if cols < NARROW && rows < MAX_SIDE {
+            let mut left = left;
+            while left <= right {
+                self.walk_strip(patch, [left, top, bottom], self.p, SUB_BITS, visitor);
+                left += LANES as i32;
+            }
+            return;
+        }
+        // Corners on pixels need no finer lattice.
+        let is_whole = (a.x | a.y | b.x | b.y | c.x | c.y) & (UNIT - 1) == 0;
+        let (p, bits, most) = if is_whole {
+            (self.p.map(|p| Point { x: p.x >> SUB_BITS, y: p.y >> SUB_BITS }), 0, MAX_WHOLE_SIDE)
+        } else {
+            (self.p, SUB_BITS, MAX_SIDE)
+        };
+        if cols < most && rows < most {
+            // Relative to where single precision is exact.
+            let [a, b, c] = self.p.map(|p| [p.x - (left << SUB_BITS), p.y - (top << SUB_BITS)]);
+            let sides = [Side::new(a, b), Side::new(b, c), Side::new(c, a)];
+            let mut col = 0;
+            while col <= cols {
+                let (first, last) = rows_between(&sides, col as f32, (col + LANES as i32 - 1) as f32);
+                let [first, last] = [first.max(0), last.min(rows)].map(|row| top + row);
+                self.walk_strip(patch, [left + col, first, last], p, bits, visitor);
+                col += LANES as i32;
             }
         } else {
             self.walk_spans(patch, visitor);
@@ -146,19 +173,21 @@ impl Facet {
     }
 
     /// A strip of columns that fit one vector: inside is where no edge function is negative
-    /// (Pineda 1988).
+    /// (Pineda 1988). `p` are the corners with so many bits below the pixel.
     #[inline(always)]
     fn walk_strip<L: Lanes>(
         &self,
         patch: &Patch,
         [left, top, bottom]: [i32; 3],
+        p: [Point; 3],
+        bits: u32,
         visitor: &mut impl Visitor<L>,
     ) {
-        let (x, y) = (left << SUB_BITS, top << SUB_BITS);
+        let (x, y) = (left << bits, top << bits);
         let edge = |k: usize| {
-            let (a, b) = (self.p[k], self.p[(k + 1) % 3]);
+            let (a, b) = (p[k], p[(k + 1) % 3]);
             let (dx, dy) = (b.x - a.x, b.y - a.y);
-            (L::ramp(dx * (y - a.y) - dy * (x - a.x), -dy * UNIT), L::splat_i(dx * UNIT))
+            (L::ramp(dx * (y - a.y) - dy * (x - a.x), -dy << bits), L::splat_i(dx << bits))
         };
         let [(mut e0, down0), (mut e1, down1), (mut e2, down2)] = [edge(0), edge(1), edge(2)];
         let plane = &self.plane;
@@ -167,11 +196,12 @@ impl Facet {
         let start = L::add(start, across);
         let (slope, one) = (L::splat(plane.per_row as f32), L::splat(1.0));
         let mut down = L::splat(0.0);
-        let mut at = top as usize * patch.stride() + left as usize;
+        let at = top as usize * patch.stride() + left as usize;
         let mut place = L::ramp(at as i32, 1);
         let stride = L::splat_i(patch.stride() as i32);
-        for _ in top..=bottom {
-            let Some(heights) = patch.z().get(at..).and_then(|z| z.first_chunk()) else { return };
+        let end = bottom as usize * patch.stride() + left as usize + LANES;
+        for row in patch.z().get(at..end).unwrap_or_default().chunks(patch.stride()) {
+            let Some(heights) = row.first_chunk() else { return };
             let level = L::add(start, L::mul(slope, down));
             let error = L::abs(L::sub(L::load(heights), level));
             let outside = L::or_i(L::or_i(e0, e1), e2);
@@ -179,7 +209,6 @@ impl Facet {
             (e0, e1, e2) = (L::add_i(e0, down0), L::add_i(e1, down1), L::add_i(e2, down2));
             down = L::add(down, one);
             place = L::add_i(place, stride);
-            at += patch.stride();
         }
     }
 
@@ -203,6 +232,39 @@ impl Facet {
             }
         }
     }
+}
+
+/// A side of a triangle, in pixels, from left to right.
+struct Side {
+    x: [f32; 2],
+    y: f32,
+    slope: f32,
+}
+
+impl Side {
+    #[inline(always)]
+    fn new(a: [i32; 2], b: [i32; 2]) -> Self {
+        let ([ax, ay], [bx, by]) = if a[0] <= b[0] { (a, b) } else { (b, a) };
+        let pixels = |v: i32| v as f32 * (1.0 / UNIT as f32);
+        // An upright side is met by the other two where it ends.
+        let slope = if ax < bx { (by - ay) as f32 / (bx - ax) as f32 } else { 0.0 };
+        Side { x: [pixels(ax), pixels(bx)], y: pixels(ay), slope }
+    }
+}
+
+/// The rows that a triangle has between two columns, and perhaps one more on either side.
+#[inline(always)]
+fn rows_between(sides: &[Side; 3], left: f32, right: f32) -> (i32, i32) {
+    let (mut top, mut bottom) = (f32::INFINITY, f32::NEG_INFINITY);
+    for side in sides {
+        let (from, to) = (left.max(side.x[0]), right.min(side.x[1]));
+        if from <= to {
+            let [a, b] = [from, to].map(|x| side.y + (x - side.x[0]) * side.slope);
+            (top, bottom) = (top.min(a.min(b)), bottom.max(a.max(b)));
+        }
+    }
+    // A row more than what rounding can take.
+    ((top - 0.5).floor() as i32, (bottom + 0.5).ceil() as i32)
 }
 
 trait Visitor<L: Lanes> {
