@@ -8,7 +8,7 @@ use criterion::{criterion_group, criterion_main, Criterion, Throughput};
 use dem2tin_core::facet::{Errors, Facet};
 use dem2tin_core::grid::{Grid, Height};
 use dem2tin_core::lanes::Vectors;
-use dem2tin_core::patch::{Patch, Window};
+use dem2tin_core::patch::{Frame, Patch, Window};
 use dem2tin_core::pipeline::triangulate;
 use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::progress::Progress;
@@ -45,7 +45,8 @@ fn all_vectors() -> [(&'static str, Vectors); 2] {
 fn scan(c: &mut Criterion) {
     let z = terrain(SIZE);
     let grid = Grid::new(&z, SIZE, SIZE).unwrap();
-    let patch = Patch::new(&grid, Window { col: 0, row: 0, cols: SIZE, rows: SIZE }).unwrap();
+    let window = Window { col: 0, row: 0, cols: SIZE, rows: SIZE };
+    let patch = Patch::new(&grid, window, Frame::of(&grid, window)).unwrap();
     let mut errors = Errors::default();
     for (name, n, side) in [("small", 4096, 10), ("large", 16, 200)] {
         let triangles: Vec<_> = triangles(n, side).into_iter().map(|p| (p, heights(&grid, p))).collect();

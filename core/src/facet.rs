@@ -368,7 +368,7 @@ impl Kernel for Collect<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::patch::Window;
+    use crate::patch::{Frame, Window};
     use proptest::prelude::*;
 
     fn brute(facet: &Facet, patch: &Patch, size: i32) -> Vec<(i32, f64)> {
@@ -401,7 +401,8 @@ mod tests {
             prop_assume!(orient2d(p[0], p[1], p[2]) != 0);
             if orient2d(p[0], p[1], p[2]) < 0 { p.swap(1, 2); }
             let grid = Grid::new(&z, 40, 40).unwrap();
-            let patch = Patch::new(&grid, Window { col: 0, row: 0, cols: 40, rows: 40 }).unwrap();
+            let window = Window { col: 0, row: 0, cols: 40, rows: 40 };
+            let patch = Patch::new(&grid, window, Frame::of(&grid, window)).unwrap();
             let facet = Facet::new(&patch, p, heights);
             let expected = brute(&facet, &patch, 40);
             let largest = expected.iter().fold(-1.0f64, |a, b| a.max(b.1));

@@ -7,7 +7,7 @@
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
-use crate::patch::Patch;
+use crate::patch::{Frame, Patch};
 use crate::progress::Progress;
 use crate::refine::{Goal, Refiner, Rule, Stop};
 use crate::seams::{SeamPoint, Seams};
@@ -33,63 +33,102 @@ const ROOM: f64 = 2.0;
 /// flips across released seams raise the largest error.
 const REPAIR: f64 = 0.08;
 
-/// Refines the surface on `grid` to `max_points` vertices with a height or the rule's
-/// tolerance, as [`Refiner::run`] does, in the tiles whose seams it has. Seams stay. A few of
-/// the vertices are left for their repair if the rule is the maximum.
-pub fn refine<T: Height>(
-    surface: Surface,
-    tiling: &Tiling,
-    grid: &Grid<T>,
-    rule: &Rule,
-    max_points: usize,
-    progress: &mut Progress,
-) -> Result<(Surface, Stop)> {
-    if tiling.count() == 1 {
-        let mut refiner = Refiner::new(surface);
-        let stop = refiner.run(grid, rule, max_points, progress)?;
-        return Ok((refiner.surface, stop));
+/// A surface that is being refined, over one image after the other.
+pub enum Refinement<'t> {
+    Whole(Box<Refiner>),
+    Tiled(Ladder<'t>),
+}
+
+impl<'t> Refinement<'t> {
+    /// In the tiles whose seams the surface has. Errors: `out-of-memory`.
+    pub fn new(surface: Surface, tiling: &'t Tiling) -> Result<Self> {
+        if tiling.count() == 1 {
+            return Ok(Refinement::Whole(Box::new(Refiner::new(surface))));
+        }
+        let seams = Seams::new(&surface, tiling);
+        let (shared, tiles) = cut(surface, tiling)?;
+        Ok(Refinement::Tiled(Ladder { shared, tiles, seams, tiling }))
     }
-    let seams = Seams::new(&surface, tiling);
-    let (shared, tiles) = cut(surface, tiling)?;
-    let mut ladder = Ladder { shared, tiles, seams, tiling, grid, rule };
-    let stop = if max_points >= grid.rows() * grid.cols() {
+
+    /// Number of vertices that carry a height.
+    pub fn count(&self) -> usize {
+        match self {
+            Refinement::Whole(refiner) => refiner.count(),
+            Refinement::Tiled(ladder) => ladder.count(),
+        }
+    }
+
+    /// Inserts pixels of the image until there are `max_points` vertices with a height or all
+    /// is within the rule's tolerance, as [`Refiner::run`] does. A few of the vertices are left
+    /// for the repair of seams if the rule is the maximum.
+    pub fn refine<T: Height>(
+        &mut self,
+        grid: &Grid<T>,
+        rule: &Rule,
+        max_points: usize,
+        progress: &mut Progress,
+    ) -> Result<Stop> {
+        let ladder = match self {
+            Refinement::Whole(refiner) => return refiner.run(grid, rule, max_points, progress),
+            Refinement::Tiled(ladder) => ladder,
+        };
+        ladder.tiles.iter_mut().for_each(|tile| tile.frame = None);
+        let image = Image { grid, rule };
+        if max_points < grid.rows() * grid.cols() {
+            return ladder.count_down(image, max_points, progress);
+        }
         let rooms = vec![usize::MAX; ladder.tiles.len()];
-        let points = ladder.refine_seams(f64::NEG_INFINITY, usize::MAX);
-        ladder.descend(f64::NEG_INFINITY, &rooms, points, progress)?;
-        Stop::Tolerance
-    } else {
-        ladder.count_down(max_points, progress)?
-    };
-    Ok((merge(ladder.shared, ladder.tiles)?, stop))
+        let points = ladder.refine_seams(image, f64::NEG_INFINITY, usize::MAX);
+        ladder.descend(image, f64::NEG_INFINITY, &rooms, points, progress)?;
+        Ok(Stop::Tolerance)
+    }
+
+    /// The surface as it is now, in one piece; seams stay. Errors: `out-of-memory`.
+    pub fn finish(self) -> Result<Surface> {
+        match self {
+            Refinement::Whole(refiner) => Ok(refiner.surface),
+            Refinement::Tiled(ladder) => merge(ladder.shared, ladder.tiles),
+        }
+    }
+}
+
+/// What is refined, and by which rule.
+#[derive(Clone, Copy)]
+struct Image<'a, T> {
+    grid: &'a Grid<'a, T>,
+    rule: &'a Rule,
 }
 
 /// How many candidates of a tile wait at about which priority.
 type Waiting = Vec<(f64, usize)>;
 
-struct Ladder<'a, T> {
+pub struct Ladder<'t> {
     shared: Shared,
     tiles: Vec<Tile>,
     seams: Seams,
-    tiling: &'a Tiling,
-    grid: &'a Grid<'a, T>,
-    rule: &'a Rule,
+    tiling: &'t Tiling,
 }
 
-impl<T: Height> Ladder<'_, T> {
+impl Ladder<'_> {
     fn count(&self) -> usize {
         self.shared.count() + self.tiles.iter().map(Tile::inserted).sum::<usize>()
     }
 
     /// Refines down to `max_points`, or until nothing is left to do.
-    fn count_down(&mut self, max_points: usize, progress: &mut Progress) -> Result<Stop> {
+    fn count_down<T: Height>(
+        &mut self,
+        image: Image<T>,
+        max_points: usize,
+        progress: &mut Progress,
+    ) -> Result<Stop> {
         progress.part([0.0, 0.0]);
         // Nothing is inserted yet: all triangles are queued.
         let none = vec![0; self.tiles.len()];
-        self.descend(f64::INFINITY, &none, vec![Vec::new(); none.len()], progress)?;
-        let mut outlook = Outlook::new(self.rule);
+        self.descend(image, f64::INFINITY, &none, vec![Vec::new(); none.len()], progress)?;
+        let mut outlook = Outlook::new(image.rule);
         loop {
             let count = self.count();
-            let repair = if self.rule.is_max() { REPAIR * self.seams.count() as f64 } else { 0.0 };
+            let repair = if image.rule.is_max() { REPAIR * self.seams.count() as f64 } else { 0.0 };
             let max_points = max_points.saturating_sub(repair as usize);
             let most = max_points as f64;
             if count >= max_points {
@@ -106,31 +145,32 @@ impl<T: Height> Ladder<'_, T> {
             progress.part([before / most, ((before + wanted) / most).min(1.0)]);
             let level = outlook.level_for(wanted, &waiting);
             let needs = outlook.needs(&waiting, level);
-            let points = self.refine_seams(level, (left / 8.0) as usize);
+            let points = self.refine_seams(image, level, (left / 8.0) as usize);
             let left = max_points.saturating_sub(self.count());
             let room = left.min((ROOM * wanted) as usize + 1);
-            self.descend(level, &share_out(room, &needs), points, progress)?;
+            self.descend(image, level, &share_out(room, &needs), points, progress)?;
             outlook.learn((self.count() - count) as f64 / wanted);
         }
     }
 
-    /// One rung: new seam vertices, at most `on_seams`, and in each tile what is over the
-    /// level, but no more vertices than its room.
-    fn descend(
+    /// One rung: new seam vertices, and in each tile what is over the level, but no more
+    /// vertices than its room.
+    fn descend<T: Height>(
         &mut self,
+        image: Image<T>,
         level: f64,
         rooms: &[usize],
         points: Vec<Vec<(SeamPoint, u32)>>,
         progress: &mut Progress,
     ) -> Result<()> {
-        let (grid, rule, tiling) = (self.grid, self.rule, self.tiling);
+        let (Image { grid, rule }, tiling) = (image, self.tiling);
         let tiles = self.tiles.iter_mut().zip(points).zip(rooms);
         let is_busy = |((tile, points), room): &((&mut Tile, Vec<_>), &usize)| {
-            **room > 0 || !points.is_empty() || !tile.is_started
+            **room > 0 || !points.is_empty() || tile.frame.is_none()
         };
         let busy: Vec<_> = tiles.filter(is_busy).collect();
         spread(progress, busy.into_iter(), |((tile, points), &room), progress| {
-            let mut patch = tile.prepare(grid, rule, tiling, &points, progress)?;
+            let mut patch = tile.prepare(image, tiling, &points, progress)?;
             let goal = Goal { points: tile.refiner.count().saturating_add(room), level };
             tile.refiner.refine(grid, &mut patch, rule, goal, progress)?;
             tile.refiner.compact();
@@ -140,11 +180,16 @@ impl<T: Height> Ladder<'_, T> {
     }
 
     /// At most `most` new vertices on seams, numbered, for each of the tiles.
-    fn refine_seams(&mut self, level: f64, most: usize) -> Vec<Vec<(SeamPoint, u32)>> {
+    fn refine_seams<T: Height>(
+        &mut self,
+        Image { grid, rule }: Image<T>,
+        level: f64,
+        most: usize,
+    ) -> Vec<Vec<(SeamPoint, u32)>> {
         let mut place = vec![usize::MAX; self.tiling.count()];
         self.tiles.iter().enumerate().for_each(|(i, tile)| place[tile.number] = i);
         let mut points = vec![Vec::new(); self.tiles.len()];
-        for point in self.seams.refine(self.grid, self.rule, level, self.tiling, most) {
+        for point in self.seams.refine(grid, rule, level, self.tiling, most) {
             let number = self.shared.add(&point);
             for tile in point.tiles {
                 if let Some(points) = points.get_mut(place[tile]) {
@@ -220,27 +265,27 @@ impl Tile {
     /// The heights of the tile, after its new seam vertices have been inserted.
     fn prepare<T: Height>(
         &mut self,
-        grid: &Grid<T>,
-        rule: &Rule,
+        Image { grid, rule }: Image<T>,
         tiling: &Tiling,
         points: &[(SeamPoint, u32)],
         progress: &mut Progress,
     ) -> Result<Patch> {
         let window = tiling.window(self.number);
-        let mut patch = self.refiner.patch(grid, window)?;
+        let frame = self.frame.unwrap_or_else(|| Frame::of(grid, window));
+        let mut patch = self.refiner.patch(grid, window, frame)?;
         tiling.on_seams(window).for_each(|p| patch.exclude(p));
         for &(SeamPoint { pixel, z, .. }, number) in points {
             let Some(place) = self.border(pixel) else { continue };
-            let v = if self.is_started {
+            let v = if self.frame.is_some() {
                 self.refiner.insert_at(grid, &mut patch, rule, (pixel, z, place)).0
             } else {
                 self.refiner.surface.insert_pixel(pixel, place, z)
             };
             self.share(v, number);
         }
-        if !self.is_started {
+        if self.frame.is_none() {
             self.refiner.start(grid, &patch, rule, progress)?;
-            self.is_started = true;
+            self.frame = Some(frame);
         }
         Ok(patch)
     }

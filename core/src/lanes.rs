@@ -17,11 +17,10 @@ pub trait Lanes: Copy {
     fn sub(a: Self::F, b: Self::F) -> Self::F;
     fn mul(a: Self::F, b: Self::F) -> Self::F;
     fn abs(a: Self::F) -> Self::F;
-    /// The smaller and the larger of two numbers; `b` where one is NaN.
-    fn min(a: Self::F, b: Self::F) -> Self::F;
-    fn max(a: Self::F, b: Self::F) -> Self::F;
     /// A mask of the lanes where a > b, both being numbers.
     fn greater(a: Self::F, b: Self::F) -> Self::F;
+    /// A mask of the lanes that two others leave out.
+    fn neither(a: Self::F, b: Self::F) -> Self::F;
     /// `yes` in the lanes of the mask, `no` elsewhere.
     fn choose(mask: Self::F, yes: Self::F, no: Self::F) -> Self::F;
     fn choose_i(mask: Self::F, yes: Self::I, no: Self::I) -> Self::I;
@@ -41,7 +40,8 @@ pub trait Lanes: Copy {
     fn compress_i(mask: Self::F, values: Self::I, into: &mut [i32; LANES]) -> usize;
     /// Lanes of the mask.
     fn count(mask: Self::F) -> usize;
-    fn store(a: Self::F) -> [f32; LANES];
+    /// One more in the lanes of the mask.
+    fn tally(counts: Self::I, mask: Self::F) -> Self::I;
 }
 
 /// Work written once for all vectors.
@@ -130,16 +130,12 @@ impl Lanes for Plain {
         each(a, f32::abs)
     }
     #[inline(always)]
-    fn min(a: Self::F, b: Self::F) -> Self::F {
-        both(a, b, |a, b| if a < b { a } else { b })
-    }
-    #[inline(always)]
-    fn max(a: Self::F, b: Self::F) -> Self::F {
-        both(a, b, |a, b| if a > b { a } else { b })
-    }
-    #[inline(always)]
     fn greater(a: Self::F, b: Self::F) -> Self::F {
         both(a, b, |a, b| if a > b { TRUE } else { 0.0 })
+    }
+    #[inline(always)]
+    fn neither(a: Self::F, b: Self::F) -> Self::F {
+        both(a, b, |a, b| if is_set(a) || is_set(b) { 0.0 } else { TRUE })
     }
     #[inline(always)]
     fn choose(mask: Self::F, yes: Self::F, no: Self::F) -> Self::F {
@@ -202,8 +198,8 @@ impl Lanes for Plain {
         mask.iter().filter(|&&m| is_set(m)).count()
     }
     #[inline(always)]
-    fn store(a: Self::F) -> [f32; LANES] {
-        a
+    fn tally(counts: Self::I, mask: Self::F) -> Self::I {
+        both(counts, mask, |count, m| count + i32::from(is_set(m)))
     }
 }
 
@@ -275,16 +271,12 @@ mod avx2 {
             unsafe { _mm256_andnot_ps(_mm256_set1_ps(-0.0), a) }
         }
         #[inline(always)]
-        fn min(a: Self::F, b: Self::F) -> Self::F {
-            unsafe { _mm256_min_ps(a, b) }
-        }
-        #[inline(always)]
-        fn max(a: Self::F, b: Self::F) -> Self::F {
-            unsafe { _mm256_max_ps(a, b) }
-        }
-        #[inline(always)]
         fn greater(a: Self::F, b: Self::F) -> Self::F {
             unsafe { _mm256_cmp_ps::<_CMP_GT_OQ>(a, b) }
+        }
+        #[inline(always)]
+        fn neither(a: Self::F, b: Self::F) -> Self::F {
+            unsafe { _mm256_xor_ps(_mm256_or_ps(a, b), _mm256_castsi256_ps(_mm256_set1_epi32(-1))) }
         }
         #[inline(always)]
         fn choose(mask: Self::F, yes: Self::F, no: Self::F) -> Self::F {
@@ -361,10 +353,9 @@ mod avx2 {
             unsafe { _mm256_movemask_ps(mask).count_ones() as usize }
         }
         #[inline(always)]
-        fn store(a: Self::F) -> [f32; LANES] {
-            let mut into = [0.0; LANES];
-            unsafe { _mm256_storeu_ps(into.as_mut_ptr(), a) };
-            into
+        fn tally(counts: Self::I, mask: Self::F) -> Self::I {
+            // A lane that is set is -1.
+            unsafe { _mm256_sub_epi32(counts, _mm256_castps_si256(mask)) }
         }
     }
 }

@@ -16,22 +16,84 @@ pub struct Window {
     pub rows: usize,
 }
 
-pub struct Patch {
-    z: Vec<f32>,
-    stride: usize,
-    window: Window,
-    /// What was taken off the heights.
+/// How heights become single precision.
+#[derive(Clone, Copy, Debug)]
+pub struct Frame {
+    /// What is taken off the heights.
     reference: f64,
-    /// Whether nothing was rounded: so it is where the raster is in single precision.
+    /// Whether nothing is rounded: so it is where the raster is in single precision.
     is_exact: bool,
     /// The largest |height| over the reference.
     largest: f64,
 }
 
+pub struct Patch {
+    z: Vec<f32>,
+    stride: usize,
+    window: Window,
+    frame: Frame,
+}
+
+impl Frame {
+    /// For the pixels in the window: over the lowest one, so that it does not matter how high
+    /// all of it lies; if that rounds, as they are or over a height that takes nothing from
+    /// single precision.
+    pub fn of<T: Height>(grid: &Grid<T>, window: Window) -> Self {
+        let (low, high) = window.rows(grid).fold((f64::INFINITY, f64::NEG_INFINITY), |all, row| {
+            let (least, most) = extent(row);
+            (all.0.min(least), all.1.max(most))
+        });
+        let middle = 0.5 * (low + high);
+        let is_far = middle.abs() > high - low;
+        let coarse = if is_far && middle.is_finite() { f64::from(middle as f32) } else { 0.0 };
+        let lowest = if low.is_finite() { low } else { 0.0 };
+        let exact = [lowest, coarse].into_iter().find(|&height| is_exact_over(grid, window, height));
+        let reference = exact.unwrap_or(lowest);
+        let largest = if low <= high { (low - reference).abs().max((high - reference).abs()) } else { 0.0 };
+        Frame { reference, is_exact: exact.is_some(), largest }
+    }
+}
+
+/// The lowest and the highest, those that are NaN aside.
+pub fn extent<T: Height>(heights: &[T]) -> (f64, f64) {
+    const WIDTH: usize = 16;
+    let none = [f64::INFINITY, f64::NEG_INFINITY].map(|end| [T::from_f64(end); WIDTH]);
+    let [mut low, mut high] = none;
+    let mut see = |chunk: &[T]| {
+        for ((low, high), &z) in low.iter_mut().zip(&mut high).zip(chunk) {
+            *low = if z < *low { z } else { *low };
+            *high = if z > *high { z } else { *high };
+        }
+    };
+    let (chunks, rest) = heights.as_chunks::<WIDTH>();
+    chunks.iter().for_each(|chunk| see(chunk));
+    see(rest);
+    let fold = |ends: [T; WIDTH], f: fn(f64, f64) -> f64| ends.iter().map(|z| z.to_f64()).reduce(f);
+    (fold(low, f64::min).unwrap_or(f64::INFINITY), fold(high, f64::max).unwrap_or(f64::NEG_INFINITY))
+}
+
+/// Whether single precision holds all heights over the reference.
+fn is_exact_over<T: Height>(grid: &Grid<T>, window: Window, reference: f64) -> bool {
+    window.rows(grid).all(|row| {
+        row.iter().fold(true, |is_exact, height| {
+            let shifted = height.to_f64() - reference;
+            let back = f64::from(shifted as f32) + reference;
+            is_exact & (back == height.to_f64() || shifted.is_nan())
+        })
+    })
+}
+
+impl Window {
+    fn rows<'a, T: Height>(self, grid: &'a Grid<T>) -> impl Iterator<Item = &'a [T]> {
+        let Window { col, row, cols, rows } = self;
+        (row..row + rows).map(move |row| &grid.row(row)[col..col + cols])
+    }
+}
+
 impl Patch {
     /// A copy of the pixels in the window. Errors: `out-of-memory`, `too-large`.
-    pub fn new<T: Height>(grid: &Grid<T>, window: Window) -> Result<Self> {
-        let Window { col, row, cols, rows } = window;
+    pub fn new<T: Height>(grid: &Grid<T>, window: Window, frame: Frame) -> Result<Self> {
+        let Window { cols, rows, .. } = window;
         // An odd number of cache lines: rows do not compete for the same places of the cache.
         const LINE: usize = 16;
         let stride = ((cols + LANES).div_ceil(LINE) | 1) * LINE;
@@ -41,67 +103,32 @@ impl Patch {
             return Err(Error::input("too-large", message));
         }
         memory::ensure(size_of::<f32>() * count)?;
-        let heights = |r: usize| &grid.row(r)[col..col + cols];
-        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-        for r in row..row + rows {
-            let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
-            for z in heights(r) {
-                let z = z.to_f64();
-                least = if z < least { z } else { least };
-                most = if z > most { z } else { most };
-            }
-            (low, high) = (low.min(least), high.max(most));
+        let mut z = Vec::with_capacity(stride * rows + LANES);
+        for (row, heights) in window.rows(grid).enumerate() {
+            z.resize(row * stride, f32::NAN);
+            z.extend(heights.iter().map(|height| (height.to_f64() - frame.reference) as f32));
         }
-        // Over the lowest one, so that it does not matter how high all of it lies; if that
-        // rounds, as they are or over a height that takes nothing from single precision.
-        let middle = 0.5 * (low + high);
-        let is_far = middle.abs() > high - low;
-        let coarse = if is_far && middle.is_finite() { f64::from(middle as f32) } else { 0.0 };
-        let lowest = if low.is_finite() { low } else { 0.0 };
-        let mut z = vec![f32::NAN; stride * rows + LANES];
-        let mut fill = |reference: f64, may_round: bool| {
-            let mut is_exact = true;
-            for (into, r) in z.chunks_exact_mut(stride).zip(row..row + rows) {
-                for (into, height) in into.iter_mut().zip(heights(r)) {
-                    let shifted = height.to_f64() - reference;
-                    *into = shifted as f32;
-                    is_exact &= f64::from(*into) + reference == height.to_f64() || shifted.is_nan();
-                }
-                if !(is_exact || may_round) {
-                    return false;
-                }
-            }
-            is_exact
-        };
-        let (reference, is_exact) = if fill(lowest, false) {
-            (lowest, true)
-        } else if fill(coarse, false) {
-            (coarse, true)
-        } else {
-            fill(lowest, true);
-            (lowest, false)
-        };
-        let largest = if low <= high { (low - reference).abs().max((high - reference).abs()) } else { 0.0 };
-        Ok(Patch { z, stride, window, reference, is_exact, largest })
+        z.resize(stride * rows + LANES, f32::NAN);
+        Ok(Patch { z, stride, window, frame })
     }
 
     pub fn reference(&self) -> f64 {
-        self.reference
+        self.frame.reference
     }
 
     pub fn is_exact(&self) -> bool {
-        self.is_exact
+        self.frame.is_exact
     }
 
     pub fn largest(&self) -> f64 {
-        self.largest
+        self.frame.largest
     }
 
     /// Height of a candidate.
     #[inline]
     pub fn height<T: Height>(&self, place: usize, grid: &Grid<T>) -> f64 {
-        if self.is_exact {
-            return f64::from(self.z[place]) + self.reference;
+        if self.frame.is_exact {
+            return f64::from(self.z[place]) + self.frame.reference;
         }
         let (col, row) = self.pixel(place);
         grid.at(col, row)

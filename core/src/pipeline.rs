@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::fit::{fit_heights, Blend};
 use crate::flip::{edges, flip_pass};
 use crate::grid::{Grid, Height};
-use crate::ladder::refine;
+use crate::ladder::Refinement;
 use crate::measure::count_covered;
 use crate::memory;
 use crate::mesh::Mesh;
@@ -152,17 +152,20 @@ pub fn triangulate<T: Height>(
     let largest = data.z().iter().fold(0.0f64, |most, z| most.max(z.to_f64().abs()));
     let is_too_few = surface.count() > most;
     let mut stop = Stop::Tolerance;
+    let mut refinement = Refinement::new(surface, &tiling)?;
     for (i, &sigma) in scales.iter().enumerate() {
         if i > 0 {
             progress.stage("smooth")?;
             finest = gaussian(&whole, sigma, progress)?;
             leave_out(&mut finest, &beside);
             if bounded && sigma == [0.0; 2] {
+                surface = refinement.finish()?;
                 surface.sample(&data);
+                refinement = Refinement::new(surface, &tiling)?;
             }
         }
         progress.stage("refine")?;
-        let limit = most.min(surface.count().saturating_add(per_scale));
+        let limit = most.min(refinement.count().saturating_add(per_scale));
         let mut rule = options.rule;
         if sigma != [0.0; 2] {
             // Smoothing rounds: without it nothing is known below this.
@@ -172,8 +175,9 @@ pub fn triangulate<T: Height>(
             rule.tolerance = rule.tolerance.max(SIGNIFICANT * noise * noise_left(sigma));
         }
         let image = Grid::new(&finest, grid.rows(), grid.cols())?;
-        (surface, stop) = refine(surface, &tiling, &image, &rule, limit, progress)?;
+        stop = refinement.refine(&image, &rule, limit, progress)?;
     }
+    surface = refinement.finish()?;
     let mut touched = release_seams(&mut surface.mesh);
     if tiling.count() > 1 && (bounded || options.rule.is_max()) {
         // Pixels on seams were no candidates, also where a seam runs along another constraint.

@@ -12,7 +12,7 @@ use crate::grid::{Grid, Height};
 use crate::lanes::Vectors;
 use crate::memory;
 use crate::mesh::{triangle_of, Class};
-use crate::patch::{Patch, Window};
+use crate::patch::{Frame, Patch, Window};
 use crate::predicate::Point;
 use crate::progress::Progress;
 use crate::queue::{Candidate, Queue};
@@ -161,7 +161,7 @@ impl Refiner {
         progress: &mut Progress,
     ) -> Result<Stop> {
         let window = Window { col: 0, row: 0, cols: grid.cols(), rows: grid.rows() };
-        let mut patch = self.patch(grid, window)?;
+        let mut patch = self.patch(grid, window, Frame::of(grid, window))?;
         self.start(grid, &patch, rule, progress)?;
         let goal = Goal { points: max_points, level: f64::NEG_INFINITY };
         let reached = self.refine(grid, &mut patch, rule, goal, progress)?;
@@ -169,8 +169,8 @@ impl Refiner {
     }
 
     /// The heights in the window without those that are vertices.
-    pub fn patch<T: Height>(&self, grid: &Grid<T>, window: Window) -> Result<Patch> {
-        let mut patch = Patch::new(grid, window)?;
+    pub fn patch<T: Height>(&self, grid: &Grid<T>, window: Window, frame: Frame) -> Result<Patch> {
+        let mut patch = Patch::new(grid, window, frame)?;
         self.surface.mesh.points().iter().for_each(|&p| patch.exclude(p));
         Ok(patch)
     }

@@ -6,130 +6,172 @@ use crate::lanes::{Kernel, Lanes, Vectors, LANES};
 #[derive(Clone, Default)]
 pub struct Selector {
     rest: Vec<f32>,
+    next: Vec<f32>,
 }
 
 impl Selector {
-    /// The value that `k` others precede when all are sorted; none is negative or NaN.
+    /// The value that `k` others precede when all are sorted; none is negative, infinite or NaN.
     #[inline]
     pub fn nth(&mut self, values: &[f32], k: usize, vectors: Vectors) -> f32 {
-        vectors.run(Nth { values, k, rest: &mut self.rest })
+        vectors.run(Nth { values, k, selector: self })
     }
 }
 
-/// Lists up to this length are not worth being closed up.
-const SHORT: usize = 64;
+/// Vectors few enough for comparing all their values with each other.
+const FEW: usize = 4;
+
+/// Vectors of a sample, which tells about where the k-th of a long list lies.
+const SAMPLE: usize = 2;
+
+/// Ranks in the sample on either side between which that is thought to be.
+const REACH: usize = 3;
 
 struct Nth<'a> {
     values: &'a [f32],
     k: usize,
-    rest: &'a mut Vec<f32>,
+    selector: &'a mut Selector,
+}
+
+/// Which part of a list to keep.
+#[derive(Clone, Copy, PartialEq)]
+enum Guess {
+    /// What lies between two values of a sample.
+    Sample,
+    /// The lower half of the range, by bits: no distribution of the values makes that slow.
+    Half,
+    /// All of the range.
+    Range,
 }
 
 impl Kernel for Nth<'_> {
     type Output = f32;
 
-    /// Halves the interval that holds the value: at the rank's place in it and (so that no
-    /// distribution of the values makes it slow) at the middle of its bits in turn. Each
-    /// pass pulls its ends in to values that are there.
+    /// Narrows the range of the value (Floyd and Rivest 1975) until few are left in it.
     #[inline(always)]
     fn run<L: Lanes>(self) -> f32 {
-        let Nth { values, mut k, rest } = self;
-        rest.clear();
-        rest.extend_from_slice(values);
-        pad(rest, values.len());
-        let (mut low, mut high) = extremes::<L>(rest);
-        // Values under `low`, and up to `high`.
-        let (mut under, mut until) = (0, values.len());
-        let mut by_rank = true;
-        while low < high {
-            let guess = if by_rank {
-                low + (high - low) * (((k - under) as f32 + 0.5) / (until - under) as f32)
-            } else {
-                f32::from_bits(low.to_bits().midpoint(high.to_bits()))
+        let Nth { values, mut k, selector: Selector { rest, next } } = self;
+        let (mut low, mut high) = (0.0, f32::MAX);
+        let (mut guess, mut kept) = (Guess::Sample, None);
+        loop {
+            let list = kept.map_or(values, |count| &rest[..count]);
+            if list.len() <= FEW * LANES {
+                return nth_of_few::<L>(list, k);
+            }
+            let (from, to) = match guess {
+                Guess::Sample => bracket::<L>(list, k, low, high),
+                Guess::Half => (low, f32::from_bits(low.to_bits().midpoint(high.to_bits()))),
+                Guess::Range => (low, high),
             };
-            by_rank = !by_rank;
-            let pivot = if guess < high && guess >= low { guess } else { low };
-            let (up_to, below, above) = divide::<L>(rest, pivot);
-            if k < up_to {
-                (high, until) = (below, up_to);
+            let (under, within) = keep::<L>(list, from, to, next);
+            if k < under {
+                (high, guess) = (from.next_down(), Guess::Range);
+            } else if k >= under + within {
+                (low, guess) = (to.next_up(), Guess::Range);
             } else {
-                (low, under) = (above, up_to);
-            }
-            if k + 1 == until {
-                return high;
-            }
-            if k == under {
-                return low;
-            }
-            if rest.len() > SHORT && until - under < rest.len() / 2 {
-                close_up::<L>(rest, low, high);
-                pad(rest, until - under);
-                (k, until, under) = (k - under, until - under, 0);
+                (low, high) = (from, to);
+                if low == high {
+                    return low;
+                }
+                guess = if 4 * within < 3 * list.len() { Guess::Sample } else { Guess::Half };
+                std::mem::swap(rest, next);
+                (k, kept) = (k - under, Some(within));
             }
         }
-        low
     }
 }
 
-/// Fills up the last vector with what no selection finds.
+/// Eight values; the end of a list is filled up with what no selection finds.
 #[inline(always)]
-fn pad(rest: &mut Vec<f32>, count: usize) {
-    rest.truncate(count);
-    rest.resize(count.next_multiple_of(LANES), f32::INFINITY);
-}
-
-#[inline(always)]
-fn extremes<L: Lanes>(rest: &[f32]) -> (f32, f32) {
-    let all = L::splat(f32::INFINITY);
-    let (mut low, mut high) = (all, L::splat(0.0));
-    for chunk in rest.as_chunks().0 {
-        let values = L::load(chunk);
-        low = L::min(values, low);
-        high = L::max(L::choose(L::greater(all, values), values, high), high);
+fn filled_up(end: &[f32]) -> [f32; LANES] {
+    let mut chunk = [f32::INFINITY; LANES];
+    for (into, &value) in chunk.iter_mut().zip(end) {
+        *into = value;
     }
-    (smallest(L::store(low)), largest(L::store(high)))
+    chunk
 }
 
-fn smallest(values: [f32; LANES]) -> f32 {
-    values.into_iter().fold(f32::INFINITY, |a, b| if b < a { b } else { a })
-}
-
-fn largest(values: [f32; LANES]) -> f32 {
-    values.into_iter().fold(0.0, |a, b| if b > a { b } else { a })
-}
-
-/// How many values are at or under the pivot, the largest of these, the smallest of the
-/// others.
 #[inline(always)]
-fn divide<L: Lanes>(rest: &[f32], pivot: f32) -> (usize, f32, f32) {
-    let at = L::splat(pivot);
-    let (none, all) = (L::splat(0.0), L::splat(f32::INFINITY));
-    let (mut below, mut above) = (none, all);
-    let mut over = 0;
-    for chunk in rest.as_chunks().0 {
-        let values = L::load(chunk);
-        let is_over = L::greater(values, at);
-        over += L::count(is_over);
-        below = L::max(L::choose(is_over, none, values), below);
-        above = L::min(L::choose(is_over, values, all), above);
+fn nth_of_few<L: Lanes>(list: &[f32], k: usize) -> f32 {
+    match list.len().div_ceil(LANES) {
+        0 | 1 => nth_of::<L, 1>(list, k),
+        2 => nth_of::<L, 2>(list, k),
+        3 => nth_of::<L, 3>(list, k),
+        _ => nth_of::<L, FEW>(list, k),
     }
-    (rest.len() - over, largest(L::store(below)), smallest(L::store(above)))
 }
 
-/// Moves the values from `low` to `high` to the front.
 #[inline(always)]
-fn close_up<L: Lanes>(rest: &mut [f32], low: f32, high: f32) {
-    let (low, high, no) = (L::splat(low), L::splat(high), L::splat(0.0));
-    let yes = L::greater(L::splat(1.0), no);
-    let mut count = 0;
-    for i in (0..rest.len()).step_by(LANES) {
-        let Some(chunk) = rest[i..].first_chunk() else { return };
-        let values = L::load(chunk);
-        let is_in = L::choose(L::greater(low, values), no, L::choose(L::greater(values, high), no, yes));
-        if let Some(into) = rest[count..].first_chunk_mut() {
-            count += L::compress(is_in, values, into);
+fn nth_of<L: Lanes, const N: usize>(list: &[f32], k: usize) -> f32 {
+    let (chunks, end) = list.as_chunks();
+    let mut vectors = [L::load(&filled_up(end)); N];
+    for (vector, chunk) in vectors.iter_mut().zip(chunks) {
+        *vector = L::load(chunk);
+    }
+    of_rank::<L, N>(vectors, ranks::<L, N>(vectors, list), k)
+}
+
+/// How many values of the list are smaller than each of the vectors'.
+#[inline(always)]
+fn ranks<L: Lanes, const N: usize>(vectors: [L::F; N], list: &[f32]) -> [L::I; N] {
+    let mut smaller = [L::splat_i(0); N];
+    for &value in list {
+        let value = L::splat(value);
+        for (smaller, &vector) in smaller.iter_mut().zip(&vectors) {
+            *smaller = L::tally(*smaller, L::greater(vector, value));
         }
     }
+    smaller
+}
+
+/// The largest value that at most `k` others are smaller than.
+#[inline(always)]
+fn of_rank<L: Lanes, const N: usize>(vectors: [L::F; N], ranks: [L::I; N], k: usize) -> f32 {
+    let (none, beyond) = (L::splat(-1.0), L::splat_i(-1 - k as i32));
+    let mut largest = none;
+    for (vector, rank) in vectors.into_iter().zip(ranks) {
+        let value = L::where_negative(L::add_i(rank, beyond), vector, none);
+        largest = L::choose(L::greater(value, largest), value, largest);
+    }
+    L::first_largest(largest, L::splat_i(0)).0
+}
+
+/// Between which values the k-th is thought to lie.
+#[inline(always)]
+fn bracket<L: Lanes>(list: &[f32], k: usize, low: f32, high: f32) -> (f32, f32) {
+    const COUNT: usize = SAMPLE * LANES;
+    let mut sample = [0.0; COUNT];
+    for (i, value) in sample.iter_mut().enumerate() {
+        *value = list[(2 * i + 1) * list.len() / (2 * COUNT)];
+    }
+    let mut vectors = [L::splat(0.0); SAMPLE];
+    for (vector, chunk) in vectors.iter_mut().zip(sample.as_chunks().0) {
+        *vector = L::load(chunk);
+    }
+    let ranks = ranks::<L, SAMPLE>(vectors, &sample);
+    let rank = k * COUNT / list.len();
+    let from = if rank < REACH { low } else { of_rank::<L, SAMPLE>(vectors, ranks, rank - REACH) };
+    let to = if rank + REACH < COUNT { of_rank::<L, SAMPLE>(vectors, ranks, rank + REACH) } else { high };
+    (from, to)
+}
+
+/// Moves the values in a range to the front of `into`; says how many lie under it and in it.
+#[inline(always)]
+fn keep<L: Lanes>(list: &[f32], from: f32, to: f32, into: &mut Vec<f32>) -> (usize, usize) {
+    if into.len() < list.len() + LANES {
+        into.resize(2 * list.len() + LANES, 0.0);
+    }
+    let (chunks, end) = list.as_chunks();
+    let (mut under, mut within) = (0, 0);
+    for chunk in chunks.iter().chain([&filled_up(end)]) {
+        let values = L::load(chunk);
+        let is_under = L::greater(L::splat(from), values);
+        let is_over = L::greater(values, L::splat(to));
+        under += L::count(is_under);
+        if let Some(into) = into[within..].first_chunk_mut() {
+            within += L::compress(L::neither(is_under, is_over), values, into);
+        }
+    }
+    (under, within)
 }
 
 #[cfg(test)]

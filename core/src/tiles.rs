@@ -3,6 +3,7 @@
 use crate::error::Result;
 use crate::memory;
 use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
+use crate::patch::Frame;
 use crate::predicate::{orient2d, Metric, Point};
 use crate::refine::Refiner;
 use crate::seams::SeamPoint;
@@ -22,8 +23,8 @@ pub struct Tile {
     /// Vertices that it had from the start or shares with others, ascending, and their
     /// numbers in the whole.
     shared: Vec<(u32, u32)>,
-    /// Whether its triangles have been queued.
-    pub is_started: bool,
+    /// Of the image whose errors its queue has; `None` before the first.
+    pub frame: Option<Frame>,
 }
 
 /// What belongs to no tile alone.
@@ -114,7 +115,7 @@ pub fn cut(surface: Surface, tiling: &Tiling) -> Result<(Shared, Vec<Tile>)> {
             is_fixed: old.iter().map(|&v| surface.is_fixed[v as usize]).collect(),
         };
         let shared = (0..).zip(old).collect();
-        tiles.push(Tile { number: tile, refiner: Refiner::new(part), shared, is_started: false });
+        tiles.push(Tile { number: tile, refiner: Refiner::new(part), shared, frame: None });
     }
     let metric = mesh.metric();
     let (points, _) = surface.mesh.into_parts();
