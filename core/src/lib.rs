@@ -1,8 +1,8 @@
 //! Exact incremental Delaunay refinement of digital elevation models.
 //!
 //! Modules, each using only those above it: `predicate`, `grid`, `mesh` (`check`,
-//! `constrain`), `scan`, `lanes`, `patch`, `facet`, `noise`, `scale`, `outline`, `queue`,
-//! `refine`, `tiles`, `ladder`, `sight` (`moments`, `owned`), `fit` (`normal`), `flip`,
+//! `constrain`), `scan`, `lanes`, `patch`, `facet`, `noise`, `smoother`, `scale`, `outline`,
+//! `queue`, `refine`, `tiles`, `ladder`, `sight` (`moments`, `owned`), `fit` (`normal`), `flip`,
 //! `pipeline`; `python` is the binding.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
@@ -46,6 +46,7 @@ pub mod select;
 pub mod sieve;
 pub mod sight;
 pub mod simplify;
+mod smoother;
 pub mod surface;
 pub mod threads;
 pub mod tiles;
