@@ -32,6 +32,34 @@ impl Height for f64 {
     }
 }
 
+/// The lowest and the highest, voids aside; an infinite interval the wrong way round if there are no others.
+pub fn extent<T: Height>(heights: &[T]) -> (f64, f64) {
+    const WIDTH: usize = 16;
+    let none = [f64::INFINITY, f64::NEG_INFINITY].map(|end| [T::from_f64(end); WIDTH]);
+    let [mut low, mut high] = none;
+    let mut see = |chunk: &[T]| {
+        for ((low, high), &z) in low.iter_mut().zip(&mut high).zip(chunk) {
+            *low = if z < *low { z } else { *low };
+            *high = if z > *high { z } else { *high };
+        }
+    };
+    let (chunks, rest) = heights.as_chunks::<WIDTH>();
+    chunks.iter().for_each(|chunk| see(chunk));
+    see(rest);
+    let fold = |ends: [T; WIDTH], f: fn(f64, f64) -> f64| ends.iter().map(|z| z.to_f64()).reduce(f);
+    (fold(low, f64::min).unwrap_or(f64::INFINITY), fold(high, f64::max).unwrap_or(f64::NEG_INFINITY))
+}
+
+/// The largest |height|, 0 if all are void.
+pub fn largest<T: Height>(heights: &[T]) -> f64 {
+    let (low, high) = extent(heights);
+    if low <= high {
+        low.abs().max(high.abs())
+    } else {
+        0.0
+    }
+}
+
 /// Borrowed heights of a `rows` x `cols` raster; a NaN is a void pixel.
 #[derive(Clone, Copy)]
 pub struct Grid<'a, T> {

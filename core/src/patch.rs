@@ -2,7 +2,7 @@
 //! precision, and NaN where no candidate can be.
 
 use crate::error::{Error, Result};
-use crate::grid::{Grid, Height};
+use crate::grid::{extent, Grid, Height};
 use crate::lanes::LANES;
 use crate::memory;
 use crate::predicate::{Point, SUB_BITS};
@@ -52,24 +52,6 @@ impl Frame {
         let largest = if low <= high { (low - reference).abs().max((high - reference).abs()) } else { 0.0 };
         Frame { reference, is_exact: exact.is_some(), largest }
     }
-}
-
-/// The lowest and the highest, those that are NaN aside.
-pub fn extent<T: Height>(heights: &[T]) -> (f64, f64) {
-    const WIDTH: usize = 16;
-    let none = [f64::INFINITY, f64::NEG_INFINITY].map(|end| [T::from_f64(end); WIDTH]);
-    let [mut low, mut high] = none;
-    let mut see = |chunk: &[T]| {
-        for ((low, high), &z) in low.iter_mut().zip(&mut high).zip(chunk) {
-            *low = if z < *low { z } else { *low };
-            *high = if z > *high { z } else { *high };
-        }
-    };
-    let (chunks, rest) = heights.as_chunks::<WIDTH>();
-    chunks.iter().for_each(|chunk| see(chunk));
-    see(rest);
-    let fold = |ends: [T; WIDTH], f: fn(f64, f64) -> f64| ends.iter().map(|z| z.to_f64()).reduce(f);
-    (fold(low, f64::min).unwrap_or(f64::INFINITY), fold(high, f64::max).unwrap_or(f64::NEG_INFINITY))
 }
 
 /// Whether single precision holds all heights over the reference.

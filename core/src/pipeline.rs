@@ -5,7 +5,7 @@ use crate::domain::{domain, Constraints};
 use crate::error::{Error, Result};
 use crate::fit::{fit_heights, Blend};
 use crate::flip::{edges, flip_pass};
-use crate::grid::{Grid, Height};
+use crate::grid::{largest, Grid, Height};
 use crate::ladder::Refinement;
 use crate::measure::count_covered;
 use crate::memory;
@@ -17,7 +17,7 @@ use crate::predicate::Metric;
 use crate::progress::Progress;
 use crate::refine::{Refiner, Rule, Stop};
 use crate::repair::repair;
-use crate::scale::{choose, gaussian, noise_left};
+use crate::scale::{choose, gaussian, gaussian_over, noise_left};
 use crate::sight::Sight;
 use crate::surface::Surface;
 use crate::tiles::release_seams;
@@ -149,14 +149,14 @@ pub fn triangulate<T: Height>(
     let image = Grid::new(&finest, grid.rows(), grid.cols())?;
     surface.sample(&image);
     surface.insert_pixels(&options.constraints.pixels, &image);
-    let largest = data.z().iter().fold(0.0f64, |most, z| most.max(z.to_f64().abs()));
+    let largest = largest(data.z());
     let is_too_few = surface.count() > most;
     let mut stop = Stop::Tolerance;
     let mut refinement = Refinement::new(surface, &tiling)?;
     for (i, &sigma) in scales.iter().enumerate() {
         if i > 0 {
             progress.stage("smooth")?;
-            finest = gaussian(&whole, sigma, progress)?;
+            finest = gaussian_over(&whole, sigma, finest, progress)?;
             leave_out(&mut finest, &beside);
             if bounded && sigma == [0.0; 2] {
                 surface = refinement.finish()?;
@@ -229,7 +229,7 @@ fn validate<T: Height>(options: &Options, grid: &Grid<T>) -> Result<()> {
     if options.constraints.pixels.iter().any(|&(col, row)| col >= grid.cols() || row >= grid.rows()) {
         return bad("an initial point lies outside the raster");
     }
-    if grid.z().iter().any(|z| z.to_f64().abs() > MAX_HEIGHT) {
+    if largest(grid.z()) > MAX_HEIGHT {
         return Err(Error::input("height-range", "heights beyond 1e100 are no terrain"));
     }
     let Constraints { points, lines, flat, .. } = &options.constraints;

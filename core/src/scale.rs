@@ -44,12 +44,28 @@ pub fn gaussian<'a, T: Height>(
     sigma: [f64; 2],
     progress: &mut Progress,
 ) -> Result<Cow<'a, [T]>> {
+    gaussian_over(grid, sigma, Cow::Borrowed(&[]), progress)
+}
+
+/// As [`gaussian`], in the memory of an image that is no longer needed: to get new memory
+/// from the system takes as long as to smooth.
+pub fn gaussian_over<'a, T: Height>(
+    grid: &Grid<'a, T>,
+    sigma: [f64; 2],
+    old: Cow<'_, [T]>,
+    progress: &mut Progress,
+) -> Result<Cow<'a, [T]>> {
     if sigma == [0.0, 0.0] {
         return Ok(Cow::Borrowed(grid.z()));
     }
-    memory::ensure(size_of_val(grid.z()))?;
+    let mut smooth = match old {
+        Cow::Owned(old) if old.len() == grid.z().len() => old,
+        _ => {
+            memory::ensure(size_of_val(grid.z()))?;
+            vec![T::from_f64(0.0); grid.z().len()]
+        }
+    };
     let kernels = sigma.map(kernel);
-    let mut smooth = vec![T::from_f64(0.0); grid.z().len()];
     let bands = smooth.chunks_mut(BAND * grid.cols()).enumerate();
     spread(progress, bands, |(band, into), progress| {
         Smoother::new(grid, &kernels, Vectors::best())?.rows(band * BAND, into, progress)
