@@ -40,6 +40,8 @@ pub trait Lanes: Copy {
     fn compress_i(mask: Self::F, values: Self::I, into: &mut [i32; LANES]) -> usize;
     /// Lanes of the mask.
     fn count(mask: Self::F) -> usize;
+    /// The first lane of the mask, `LANES` or more if there is none.
+    fn first_in(mask: Self::F) -> usize;
     /// One more in the lanes of the mask.
     fn tally(counts: Self::I, mask: Self::F) -> Self::I;
 }
@@ -198,6 +200,10 @@ impl Lanes for Plain {
         mask.iter().filter(|&&m| is_set(m)).count()
     }
     #[inline(always)]
+    fn first_in(mask: Self::F) -> usize {
+        mask.iter().position(|&m| is_set(m)).unwrap_or(LANES)
+    }
+    #[inline(always)]
     fn tally(counts: Self::I, mask: Self::F) -> Self::I {
         both(counts, mask, |count, m| count + i32::from(is_set(m)))
     }
@@ -351,6 +357,10 @@ mod avx2 {
         #[inline(always)]
         fn count(mask: Self::F) -> usize {
             unsafe { _mm256_movemask_ps(mask).count_ones() as usize }
+        }
+        #[inline(always)]
+        fn first_in(mask: Self::F) -> usize {
+            unsafe { _mm256_movemask_ps(mask).trailing_zeros() as usize }
         }
         #[inline(always)]
         fn tally(counts: Self::I, mask: Self::F) -> Self::I {

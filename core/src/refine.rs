@@ -16,7 +16,7 @@ use crate::patch::{Frame, Patch, Window};
 use crate::predicate::Point;
 use crate::progress::Progress;
 use crate::queue::{Candidate, Queue};
-use crate::select::Selector;
+use crate::select::{position, Selector};
 use crate::surface::Surface;
 use crate::triangle::Location;
 
@@ -359,11 +359,8 @@ impl Refiner {
         let place = if rule.candidate == 1.0 {
             worst.place
         } else {
-            self.errors
-                .values()
-                .iter()
-                .position(|&e| e == at)
-                .map_or(worst.place, |i| self.errors.places()[i] as usize)
+            let first = position(self.errors.values(), at, self.vectors);
+            first.map_or(worst.place, |i| self.errors.places()[i] as usize)
         };
         let priority = rule.priority_of(f64::from(ranked), f64::from(worst.error), count as f64);
         Some(Ranked { priority, place })
