@@ -20,6 +20,13 @@ use crate::tiling::Tiling;
 /// shared out among them.
 const NEARLY: [f64; 3] = [0.9, 0.98, 0.996];
 
+/// Whether the tiles have to end on one level, or roughly so, because other scales follow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    Level,
+    Rough,
+}
+
 /// A rung that would take less than this share of what is left does not pay.
 const WORTH: f64 = 0.3;
 
@@ -65,7 +72,7 @@ impl<'t> Refinement<'t> {
         &mut self,
         grid: &Grid<T>,
         rule: &Rule,
-        max_points: usize,
+        (max_points, end): (usize, End),
         progress: &mut Progress,
     ) -> Result<Stop> {
         let ladder = match self {
@@ -75,7 +82,7 @@ impl<'t> Refinement<'t> {
         ladder.tiles.iter_mut().for_each(|tile| tile.frame = None);
         let image = Image { grid, rule };
         if max_points < grid.rows() * grid.cols() {
-            return ladder.count_down(image, max_points, progress);
+            return ladder.count_down(image, (max_points, end), progress);
         }
         let rooms = vec![usize::MAX; ladder.tiles.len()];
         let points = ladder.refine_seams(image, f64::NEG_INFINITY, usize::MAX);
@@ -118,9 +125,10 @@ impl Ladder<'_> {
     fn count_down<T: Height>(
         &mut self,
         image: Image<T>,
-        max_points: usize,
+        (max_points, end): (usize, End),
         progress: &mut Progress,
     ) -> Result<Stop> {
+        let nearly = if end == End::Level { &NEARLY[..] } else { &NEARLY[..1] };
         progress.part([0.0, 0.0]);
         // Nothing is inserted yet: all triangles are queued.
         let none = vec![0; self.tiles.len()];
@@ -140,7 +148,7 @@ impl Ladder<'_> {
             }
             let (before, left) = (count as f64, (max_points - count) as f64);
             let target =
-                NEARLY.iter().map(|share| share * most).find(|target| target - before > WORTH * left);
+                nearly.iter().map(|share| share * most).find(|target| target - before > WORTH * left);
             let wanted = target.map_or(left, |target| target.min(GROWTH * before) - before);
             progress.part([before / most, ((before + wanted) / most).min(1.0)]);
             let level = outlook.level_for(wanted, &waiting);
@@ -148,6 +156,8 @@ impl Ladder<'_> {
             let points = self.refine_seams(image, level, (left / 8.0) as usize);
             let left = max_points.saturating_sub(self.count());
             let room = left.min((ROOM * wanted) as usize + 1);
+            let is_level = target.is_some() || end == End::Level && left > self.tiles.len();
+            let level = if is_level { level } else { f64::NEG_INFINITY };
             self.descend(image, level, &share_out(room, &needs), points, progress)?;
             outlook.learn((self.count() - count) as f64 / wanted);
         }

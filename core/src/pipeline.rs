@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::fit::{fit_heights, Blend};
 use crate::flip::{edges, flip_pass};
 use crate::grid::{largest, Grid, Height};
-use crate::ladder::Refinement;
+use crate::ladder::{End, Refinement};
 use crate::measure::count_covered;
 use crate::memory;
 use crate::mesh::Mesh;
@@ -165,6 +165,7 @@ pub fn triangulate<T: Height>(
             }
         }
         progress.stage("refine")?;
+        let end = if i + 1 == scales.len() { End::Level } else { End::Rough };
         let limit = most.min(refinement.count().saturating_add(per_scale));
         let mut rule = options.rule;
         if sigma != [0.0; 2] {
@@ -175,7 +176,7 @@ pub fn triangulate<T: Height>(
             rule.tolerance = rule.tolerance.max(SIGNIFICANT * noise * noise_left(sigma));
         }
         let image = Grid::new(&finest, grid.rows(), grid.cols())?;
-        stop = refinement.refine(&image, &rule, limit, progress)?;
+        stop = refinement.refine(&image, &rule, (limit, end), progress)?;
     }
     surface = refinement.finish()?;
     let mut touched = release_seams(&mut surface.mesh);
