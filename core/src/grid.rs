@@ -35,19 +35,18 @@ impl Height for f64 {
 /// The lowest and the highest, voids aside; an infinite interval the wrong way round if there are no others.
 pub fn extent<T: Height>(heights: &[T]) -> (f64, f64) {
     const WIDTH: usize = 16;
-    let none = [f64::INFINITY, f64::NEG_INFINITY].map(|end| [T::from_f64(end); WIDTH]);
-    let [mut low, mut high] = none;
-    let mut see = |chunk: &[T]| {
-        for ((low, high), &z) in low.iter_mut().zip(&mut high).zip(chunk) {
-            *low = if z < *low { z } else { *low };
-            *high = if z > *high { z } else { *high };
-        }
-    };
+    let (mut low, mut high) = ([T::from_f64(f64::INFINITY); WIDTH], [T::from_f64(f64::NEG_INFINITY); WIDTH]);
     let (chunks, rest) = heights.as_chunks::<WIDTH>();
-    chunks.iter().for_each(|chunk| see(chunk));
-    see(rest);
-    let fold = |ends: [T; WIDTH], f: fn(f64, f64) -> f64| ends.iter().map(|z| z.to_f64()).reduce(f);
-    (fold(low, f64::min).unwrap_or(f64::INFINITY), fold(high, f64::max).unwrap_or(f64::NEG_INFINITY))
+    let mut last = [T::from_f64(f64::NAN); WIDTH];
+    last[..rest.len()].copy_from_slice(rest);
+    for chunk in chunks.iter().chain([&last]) {
+        for i in 0..WIDTH {
+            low[i] = if chunk[i] < low[i] { chunk[i] } else { low[i] };
+            high[i] = if chunk[i] > high[i] { chunk[i] } else { high[i] };
+        }
+    }
+    let ends = low.iter().zip(&high).map(|(low, high)| (low.to_f64(), high.to_f64()));
+    ends.fold((f64::INFINITY, f64::NEG_INFINITY), |all, one| (all.0.min(one.0), all.1.max(one.1)))
 }
 
 /// The largest |height|, 0 if all are void.

@@ -135,25 +135,27 @@ impl Mesh {
 
     /// The half-edges that leave the origin of `start`, one a triangle around it.
     pub fn fan(&self, start: u32) -> impl Iterator<Item = u32> + '_ {
-        // Turn back to the border, if there is one, then forth.
-        let mut first = start;
-        loop {
-            let twin = self.twin(first);
-            if twin == NONE {
-                break;
-            }
-            first = next(twin);
-            if first == start {
-                break;
-            }
-        }
-        let mut at = Some(first);
+        let (mut at, mut is_back) = (Some(start), false);
         std::iter::from_fn(move || {
             let h = at?;
-            let turned = self.twin(prev(h));
-            at = (turned != NONE && turned != first).then_some(turned);
+            let mut turned = if is_back { self.back(h) } else { self.twin(prev(h)) };
+            if turned == NONE && !is_back {
+                // The border: what is left lies on the other side of the start.
+                (turned, is_back) = (self.back(start), true);
+            }
+            at = (turned != NONE && turned != start).then_some(turned);
             Some(h)
         })
+    }
+
+    /// The half-edge before `h` around its origin.
+    fn back(&self, h: u32) -> u32 {
+        let twin = self.twin(h);
+        if twin == NONE {
+            NONE
+        } else {
+            next(twin)
+        }
     }
 
     /// Inserts `p` anywhere in the rectangle, walking from triangle `start`, and restores

@@ -149,7 +149,6 @@ pub fn triangulate<T: Height>(
     let image = Grid::new(&finest, grid.rows(), grid.cols())?;
     surface.sample(&image);
     surface.insert_pixels(&options.constraints.pixels, &image);
-    let largest = largest(data.z());
     let is_too_few = surface.count() > most;
     let mut stop = Stop::Tolerance;
     let mut refinement = Refinement::new(surface, &tiling)?;
@@ -170,7 +169,7 @@ pub fn triangulate<T: Height>(
         let mut rule = options.rule;
         if sigma != [0.0; 2] {
             // Smoothing rounds: without it nothing is known below this.
-            rule.tolerance = rule.tolerance.max(ROUNDING * largest);
+            rule.tolerance = rule.tolerance.max(ROUNDING * largest(data.z()));
         }
         if options.stop_at_noise {
             rule.tolerance = rule.tolerance.max(SIGNIFICANT * noise * noise_left(sigma));

@@ -8,12 +8,16 @@ use crate::progress::Progress;
 use crate::refine::Stop;
 use crate::scan::for_each_pixel;
 use crate::surface::Surface;
+use crate::threads::spread;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 /// A triangle beyond the tolerance, ordered by its worst error (whose bits these are: of
 /// numbers that are not negative they sort like the values), then by pixel.
 type Entry = (u64, Reverse<(usize, usize)>, u32, u32);
+
+/// Triangles that one thread looks at in a row.
+const AT_ONCE: usize = 1024;
 
 /// Inserts the worst pixels of the triangles `suspect`, and of those that this changes, until
 /// they are within the tolerance or there are `max_points` vertices with a height.
@@ -26,10 +30,12 @@ pub fn repair<T: Height>(
     progress: &mut Progress,
 ) -> Result<Stop> {
     let mut queue: BinaryHeap<Entry> = BinaryHeap::new();
-    for &t in suspect {
-        queue.extend(entry(surface, grid, tolerance, t));
-        progress.poll(256, || 1.0)?;
-    }
+    let whole = &*surface;
+    let found = spread(progress, suspect.chunks(AT_ONCE), |part, progress| {
+        progress.poll(256 * part.len(), || 1.0)?;
+        Ok(part.iter().filter_map(|&t| entry(whole, grid, tolerance, t)).collect::<Vec<_>>())
+    })?;
+    queue.extend(found.into_iter().flatten());
     let mut left = max_points.saturating_sub(surface.count());
     while let Some((_, Reverse((row, col)), t, version)) = queue.pop() {
         if surface.mesh.triangle(t).version != version {

@@ -130,8 +130,13 @@ impl Edge {
         if errors.is_empty() {
             return None;
         }
-        errors.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let quantile = |q: f64| errors[quantile_index(errors.len(), q)];
+        // The first of equal errors, as in a stable order.
+        let order =
+            |a: &(f64, (usize, usize)), b: &(f64, (usize, usize))| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+        let mut quantile = |q: f64| {
+            let k = quantile_index(errors.len(), q);
+            *errors.select_nth_unstable_by(k, order).1
+        };
         let worst = quantile(1.0).0;
         let pixels = (AREA * (length * length) as f64).max(1.0);
         let priority = rule.priority_of(quantile(rule.priority).0, worst, pixels);
