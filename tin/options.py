@@ -193,7 +193,7 @@ OPTIONS: tuple[Option, ...] = (
         values.tile,
         "refine large DEMs in tiles of this side in pixels, with seams that the TIN does not show; 0: in one "
         "piece",
-        default=512,
+        default=384,
         metavar="PIXELS",
         advanced=True,
     ),

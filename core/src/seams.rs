@@ -29,7 +29,7 @@ pub struct Seams {
 
 /// Seams are held to this share of the tolerance: at the full one they would bound slivers,
 /// at less they would take more points than they save.
-const SHARE: f64 = 0.5;
+const SHARE: f64 = 0.7;
 
 /// Pixels of a triangle for one pixel of its side, squared: those of an equilateral one.
 const AREA: f64 = 0.43;

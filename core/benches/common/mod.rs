@@ -63,7 +63,7 @@ pub fn method(name: &str, max_points: usize) -> Option<Options> {
         flips: 0,
         shape: Shape::default(),
         constraints: Constraints::default(),
-        tile: 512,
+        tile: 384,
     };
     let scales = [0.8, 0.7, 0.55, 0.45];
     match name {
