@@ -47,7 +47,7 @@ impl Normal {
             .map(|(&d, &is_fixed)| if d > 0.0 && !is_fixed { 1.0 / d } else { 0.0 });
         let inverse: Vec<f64> = inverse.collect();
         let mut starts = vec![0; diagonal.len() + 1];
-        for_each_entry(mesh, |from, _, _| starts[from as usize + 1] += 1);
+        for_each_edge(mesh, |[a, b], _| [a, b].iter().for_each(|&v| starts[v as usize + 1] += 1));
         let mut end = 0;
         for start in &mut starts {
             end += *start;
@@ -55,13 +55,15 @@ impl Normal {
         }
         let mut entries = vec![(0, 0.0); end as usize];
         let mut next = starts.clone();
-        for_each_entry(mesh, |from, to, h| {
+        for_each_edge(mesh, |[a, b], h| {
             let product = |h: u32| edges[triangle_of(h) as usize][(h & 3) as usize];
             let twin = mesh.twin(h);
-            let sum = product(h) + if twin == NONE { 0.0 } else { product(twin) };
-            let place = &mut next[from as usize];
-            entries[*place as usize] = (to, sum as f32);
-            *place += 1;
+            let sum = (product(h) + if twin == NONE { 0.0 } else { product(twin) }) as f32;
+            for (from, to) in [(a, b), (b, a)] {
+                let place = &mut next[from as usize];
+                entries[*place as usize] = (to, sum);
+                *place += 1;
+            }
         });
         Normal { diagonal, inverse, starts, entries }
     }
@@ -190,14 +192,13 @@ fn plus<const K: usize>(a: [f64; K], b: [f64; K]) -> [f64; K] {
     std::array::from_fn(|k| a[k] + b[k])
 }
 
-/// Calls `visit(from, to, h)` for both directions of each edge, `h` being one of its sides.
-fn for_each_entry(mesh: &Mesh, mut visit: impl FnMut(u32, u32, u32)) {
-    for t in 0..mesh.triangles().len() as u32 {
-        for h in [0, 1, 2].map(|k| half_edge(t, k)) {
-            let (from, to) = (mesh.origin(h), mesh.dest(h));
-            visit(from, to, h);
-            if mesh.twin(h) == NONE {
-                visit(to, from, h);
+/// Calls `visit(ends, h)` for each edge, `h` being the lower of its sides.
+fn for_each_edge(mesh: &Mesh, mut visit: impl FnMut([u32; 2], u32)) {
+    for (t, triangle) in (0..).zip(mesh.triangles()) {
+        for k in 0..3 {
+            let h = half_edge(t, k as u32);
+            if h < triangle.twin[k] {
+                visit([triangle.v[k], triangle.v[(k + 1) % 3]], h);
             }
         }
     }
