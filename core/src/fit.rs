@@ -2,13 +2,14 @@
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
+use crate::lanes::Vectors;
 use crate::memory;
 use crate::mesh::Mesh;
 use crate::moments::{dot, Affine, Moments};
 use crate::normal::{Normal, Products};
 use crate::predicate::Point;
 use crate::progress::Progress;
-use crate::sight::{chunks, moments_of, stands, Sight};
+use crate::sight::{chunks, moments_of, stands, Image, Sight};
 use crate::surface::Surface;
 use crate::threads::spread;
 use std::ops::Range;
@@ -143,16 +144,12 @@ impl<T: Height> Blend<'_, T> {
         let at = |v: usize| match surface.mesh.point(v as u32).as_pixel() {
             Some((col, row)) if self.data.is_valid(col, row) => {
                 let i = row * self.data.cols() + col;
-                self.pixels(i..i + 1).next().unwrap_or_default()
+                self.values(i..i + 1).next().unwrap_or_default()
             }
             _ => [stands[v], 0.0, 0.0, 0.0],
         };
-        let moments = |t: u32| {
-            moments_of(surface, t, |row, first, end| {
-                let start = row * self.data.cols();
-                self.pixels(start + first..start + end)
-            })
-        };
+        let vectors = Vectors::best();
+        let moments = |t: u32| moments_of(surface, t, self, vectors);
         let Systems { normal, sides, squares } = Systems::assemble(surface, at, moments, progress)?;
         let changes = normal.solve(
             sides.iter().map(|&[a, b, c, _]| [a, b, c]).collect(),
@@ -172,12 +169,20 @@ impl<T: Height> Blend<'_, T> {
 
     /// Of each pixel its height, what smoothing removes of it and of the probe, and the probe.
     #[inline(always)]
-    fn pixels(&self, pixels: Range<usize>) -> impl ExactSizeIterator<Item = [f64; 4]> + '_ {
+    fn values(&self, pixels: Range<usize>) -> impl ExactSizeIterator<Item = [f64; 4]> + '_ {
         let data = self.data.z()[pixels.clone()].iter().zip(&self.smooth[pixels.clone()]);
         let probe = self.probe[pixels.clone()].iter().zip(&self.smooth_probe[pixels]);
         data.zip(probe).map(|((height, smooth), (probe, smooth_probe))| {
             let [height, probe] = [height, probe].map(|value| value.to_f64());
             [height, height - smooth.to_f64(), probe - smooth_probe.to_f64(), probe]
         })
+    }
+}
+
+impl<T: Height> Image<4> for Blend<'_, T> {
+    #[inline(always)]
+    fn pixels(&self, row: usize, first: usize, end: usize) -> impl ExactSizeIterator<Item = [f64; 4]> {
+        let start = row * self.data.cols();
+        self.values(start + first..start + end)
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
+use crate::lanes::Vectors;
 use crate::memory;
 use crate::mesh::{half_edge, next, prev, triangle_of, Mesh, NONE};
 use crate::moments::{Moments, SquaredErrors};
@@ -172,9 +173,7 @@ fn flip<T: Height>(
     let pair = candidate.pair;
     let both = seen.triangles[pair[0]].plus(&seen.triangles[pair[1]]);
     let (p, _) = candidate.corners(candidate.walked, z);
-    let part = sum_over(both.emptied(), p, candidate.owned(mesh, h), |row, first, end| {
-        target.row(row)[first..end].iter().map(|z| [z.to_f64()])
-    });
+    let part = sum_over(both.emptied(), p, candidate.owned(mesh, h), target, Vectors::best());
     mesh.flip(h);
     let mut moments = [part, both - part];
     if candidate.walked == 1 {

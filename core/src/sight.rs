@@ -2,10 +2,11 @@
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
+use crate::lanes::{Kernel, Lanes, Vectors};
 use crate::memory;
 use crate::mesh::half_edge;
 use crate::moments::Moments;
-use crate::owned::{for_each_span, owns_edge};
+use crate::owned::{for_each_span, owns_edge, Visitor};
 use crate::predicate::Point;
 use crate::progress::Progress;
 use crate::surface::Surface;
@@ -30,11 +31,10 @@ impl Sight {
         memory::ensure(count * size_of::<Moments<1>>() + surface.z.len() * 16)?;
         let nothing = Moments::about(Point::pixel(0, 0), 0.0);
         let mut triangles = vec![nothing; count];
+        let vectors = Vectors::best();
         spread(progress, triangles.chunks_mut(CHUNK).enumerate(), |(chunk, triangles), progress| {
             for (t, moments) in (chunk * CHUNK..).zip(triangles) {
-                *moments = moments_of(surface, t as u32, |row, first, end| {
-                    target.row(row)[first..end].iter().map(|z| [z.to_f64()])
-                });
+                *moments = moments_of(surface, t as u32, target, vectors);
             }
             progress.poll(64 * CHUNK, || (chunk * CHUNK) as f64 / count as f64)
         })?;
@@ -68,12 +68,26 @@ pub fn stands<T: Height>(surface: &Surface, target: &Grid<T>, progress: &mut Pro
     Ok(heights.concat())
 }
 
-/// What `pixels(row, first, end)` gives of the pixels that triangle `t` owns.
+/// An image with `K` values a pixel, the first of which is a height.
+pub trait Image<const K: usize> {
+    /// Columns `first..end` of a row. Must be `#[inline(always)]`.
+    fn pixels(&self, row: usize, first: usize, end: usize) -> impl ExactSizeIterator<Item = [f64; K]>;
+}
+
+impl<T: Height> Image<1> for Grid<'_, T> {
+    #[inline(always)]
+    fn pixels(&self, row: usize, first: usize, end: usize) -> impl ExactSizeIterator<Item = [f64; 1]> {
+        self.row(row)[first..end].iter().map(|z| [z.to_f64()])
+    }
+}
+
+/// Over the pixels that triangle `t` owns.
 #[inline(always)]
-pub fn moments_of<const K: usize, P: ExactSizeIterator<Item = [f64; K]>>(
+pub fn moments_of<const K: usize>(
     surface: &Surface,
     t: u32,
-    pixels: impl Fn(usize, usize, usize) -> P,
+    image: &impl Image<K>,
+    vectors: Vectors,
 ) -> Moments<K> {
     let mesh = &surface.mesh;
     let v = mesh.triangle(t).v[0];
@@ -81,22 +95,56 @@ pub fn moments_of<const K: usize, P: ExactSizeIterator<Item = [f64; K]>>(
     if mesh.triangle(t).is_void() {
         return empty;
     }
-    sum_over(empty, mesh.corners(t), [0, 1, 2].map(|k| owns_edge(mesh, half_edge(t, k))), pixels)
+    let owned = [0, 1, 2].map(|k| owns_edge(mesh, half_edge(t, k)));
+    sum_over(empty, mesh.corners(t), owned, image, vectors)
 }
 
 /// Fills empty moments with a triangle `p` and its owned edges, valid pixels only.
 #[inline(always)]
-pub fn sum_over<const K: usize, P: ExactSizeIterator<Item = [f64; K]>>(
+pub fn sum_over<const K: usize>(
     empty: Moments<K>,
     p: [Point; 3],
     owned: [bool; 3],
-    pixels: impl Fn(usize, usize, usize) -> P,
+    image: &impl Image<K>,
+    vectors: Vectors,
 ) -> Moments<K> {
-    let mut moments = empty;
-    for_each_span(p, owned, |row, first, end| moments.add_row(row, first, pixels(row, first, end)));
+    let mut moments = vectors.run(Sum { moments: empty, p, owned, image });
     if moments.has_nan() {
         moments = empty;
-        for_each_span(p, owned, |row, first, end| moments.add_valid(row, first, pixels(row, first, end)));
+        for_each_span(p, owned, |row, first, end| {
+            moments.add_valid(row, first, image.pixels(row, first, end));
+        });
     }
     moments
+}
+
+/// Adds a triangle to the moments, all values of a pixel at once.
+struct Sum<'a, const K: usize, I> {
+    moments: Moments<K>,
+    p: [Point; 3],
+    owned: [bool; 3],
+    image: &'a I,
+}
+
+impl<const K: usize, I: Image<K>> Kernel for Sum<'_, K, I> {
+    type Output = Moments<K>;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> Moments<K> {
+        let mut rows = Rows { moments: self.moments, image: self.image };
+        for_each_span(self.p, self.owned, &mut rows);
+        rows.moments
+    }
+}
+
+struct Rows<'a, const K: usize, I> {
+    moments: Moments<K>,
+    image: &'a I,
+}
+
+impl<const K: usize, I: Image<K>> Visitor for &mut Rows<'_, K, I> {
+    #[inline(always)]
+    fn visit(&mut self, row: usize, first: usize, end: usize) {
+        self.moments.add_row(row, first, self.image.pixels(row, first, end));
+    }
 }
