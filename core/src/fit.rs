@@ -5,7 +5,7 @@ use crate::grid::{Grid, Height};
 use crate::lanes::Vectors;
 use crate::memory;
 use crate::mesh::Mesh;
-use crate::moments::{dot, Affine, Moments};
+use crate::moments::{dot, Moments};
 use crate::normal::{Normal, Products};
 use crate::predicate::Point;
 use crate::progress::Progress;
@@ -32,23 +32,30 @@ impl<const K: usize> Share<K> {
     /// The first value counts as far as it is not yet the surface's.
     #[inline]
     fn of(moments: &Moments<K>, p: [Point; 3], z: [f64; 3]) -> Self {
-        let hats = moments.hats(p);
-        let times = hats.map(|hat| moments.times(hat));
-        let product = |i: usize, j: usize| dot(hats[i], times[j]);
-        let side = |hat: Affine| std::array::from_fn(|k| dot(hat, moments.values[k]));
-        let plane = moments.plane(p, z);
-        let mut sides: [[f64; K]; 3] = hats.map(side);
-        for (side, times) in sides.iter_mut().zip(times) {
-            side[0] -= dot(plane, times);
+        let [_, b, c] = moments.hats(p);
+        // The three add up to 1, so that sums with the first follow from those with the others.
+        let [n, x, y] = moments.times([1.0, 0.0, 0.0]);
+        let (nb, nc) = (dot(b, [n, x, y]), dot(c, [n, x, y]));
+        let times_b = moments.times(b);
+        let (bb, bc, cc) = (dot(b, times_b), dot(c, times_b), dot(c, moments.times(c)));
+        let (ab, ac) = (nb - bb - bc, nc - bc - cc);
+        let aa = n - nb - nc - ab - ac;
+        let mut sides = [[0.0; K]; 3];
+        for (k, &values) in moments.values.iter().enumerate() {
+            let (of_b, of_c) = (dot(b, values), dot(c, values));
+            (sides[0][k], sides[1][k], sides[2][k]) = (values[0] - of_b - of_c, of_b, of_c);
+        }
+        // The plane is a sum of hats, too, and so is what it leaves.
+        let z = z.map(|z| z - moments.base());
+        let of_values = z[0] * sides[0][0] + z[1] * sides[1][0] + z[2] * sides[2][0];
+        let of_plane = [[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]]
+            .map(|row| row[0] * z[0] + row[1] * z[1] + row[2] * z[2]);
+        for (side, of_plane) in sides.iter_mut().zip(of_plane) {
+            side[0] -= of_plane;
         }
         let mut squares = moments.squares;
-        squares[0] = moments.squared_error(plane);
-        Share {
-            corners: [product(0, 0), product(1, 1), product(2, 2)],
-            edges: [product(0, 1), product(1, 2), product(2, 0)],
-            sides,
-            squares,
-        }
+        squares[0] = (squares[0] - 2.0 * of_values + dot(z, of_plane)).max(0.0);
+        Share { corners: [aa, bb, cc], edges: [ab, bc, ac], sides, squares }
     }
 }
 

@@ -89,6 +89,11 @@ impl<const K: usize> Moments<K> {
         }
     }
 
+    /// What the first values are heights above.
+    pub fn base(&self) -> f64 {
+        self.base
+    }
+
     pub fn has_nan(&self) -> bool {
         self.squares[0].is_nan()
     }
