@@ -9,6 +9,7 @@ use crate::error::Result;
 use crate::grid::{Grid, Height};
 use crate::patch::{Frame, Patch};
 use crate::progress::Progress;
+use crate::queue::pooled;
 use crate::refine::{Goal, Refiner, Rule, Stop};
 use crate::seams::{SeamPoint, Seams};
 use crate::surface::Surface;
@@ -240,10 +241,11 @@ impl Outlook {
 
     /// The level that takes so many points.
     fn level_for(&self, wanted: f64, waiting: &[Waiting]) -> f64 {
+        let all = [pooled(waiting.iter().flatten().copied())];
         let (mut low, mut high) = (0, f64::MAX.to_bits());
         while high - low > 1 << 30 {
             let middle = low.midpoint(high);
-            if self.needs(waiting, f64::from_bits(middle)).iter().sum::<f64>() > wanted {
+            if self.needs(&all, f64::from_bits(middle))[0] > wanted {
                 low = middle;
             } else {
                 high = middle;

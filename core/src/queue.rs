@@ -2,7 +2,7 @@
 
 use crate::order::curve_position;
 use std::cmp::{Ordering, Reverse};
-use std::collections::BinaryHeap;
+use std::collections::{BTreeMap, BinaryHeap};
 
 /// A triangle's candidate. Ordered by priority, then by pixel (first in raster
 /// order wins), then by triangle, so that equal errors never leave a choice.
@@ -79,13 +79,13 @@ impl Queue {
         Queue { open: BinaryHeap::new(), batch: Vec::new(), waiting, lowest: None, level: BUCKETS, local }
     }
 
-    /// How many candidates wait at about which priority. Stale ones count, too: see
+    /// How many candidates wait at about which priority, by buckets. Stale ones count, too: see
     /// [`Queue::compact`].
     pub fn waiting(&self) -> Vec<(f64, usize)> {
         let open = self.open.iter().chain(&self.batch).map(|c| (c.priority, 1));
         let lists = self.waiting.iter().filter(|list| !list.is_empty());
         let mean = |list: &[Candidate]| list.iter().map(|c| c.priority).sum::<f64>() / list.len() as f64;
-        open.chain(lists.map(|list| (mean(list), list.len()))).collect()
+        pooled(open.chain(lists.map(|list| (mean(list), list.len()))))
     }
 
     /// Drops stale entries and the room they took.
@@ -153,6 +153,16 @@ impl Queue {
             }
         }
     }
+}
+
+/// How many there are at each mean priority of a bucket.
+pub fn pooled(counts: impl Iterator<Item = (f64, usize)>) -> Vec<(f64, usize)> {
+    let mut buckets: BTreeMap<u64, (f64, usize)> = BTreeMap::new();
+    for (priority, count) in counts {
+        let bucket = buckets.entry(priority.to_bits() >> BUCKET_SHIFT).or_default();
+        *bucket = (bucket.0 + priority * count as f64, bucket.1 + count);
+    }
+    buckets.into_values().map(|(sum, count)| (sum / count as f64, count)).collect()
 }
 
 #[cfg(test)]
