@@ -13,7 +13,7 @@ use dem2tin_core::pipeline::triangulate;
 use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::progress::Progress;
 use dem2tin_core::queue::{Candidate, Queue};
-use dem2tin_core::refine::quantile_index;
+use dem2tin_core::rule::quantile_index;
 use dem2tin_core::select::Selector;
 use std::hint::black_box;
 use std::time::Duration;

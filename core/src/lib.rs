@@ -2,7 +2,7 @@
 //!
 //! Modules, each using only those above it: `predicate`, `grid`, `mesh` (`check`,
 //! `constrain`), `scan`, `lanes`, `patch`, `facet`, `noise`, `smoother`, `scale`, `outline`,
-//! `queue`, `refine`, `tiles`, `ladder`, `sight` (`moments`, `owned`), `fit` (`normal`), `flip`,
+//! `queue`, `rule`, `refine`, `tiles`, `ladder`, `sight` (`moments`, `owned`), `fit` (`normal`), `flip`,
 //! `pipeline`; `python` is the binding.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
@@ -39,6 +39,7 @@ mod python;
 pub mod queue;
 pub mod refine;
 pub mod repair;
+pub mod rule;
 pub mod scale;
 pub mod scan;
 pub mod seams;

@@ -1,10 +1,4 @@
-//! Greedy refinement: Algorithm 1 of the paper with two free quantiles.
-//!
-//! In every triangle the errors |z - plane| of its pixels (closed triangle,
-//! corners excluded) are taken. Their quantile `priority` times count^`weight`
-//! tells how urgent the triangle is; the pixel at the quantile `candidate` is
-//! what is inserted (if that is the worst one, a share of its error counts, too). The paper's metric is (0.5, 0, 0.5), Garland and Heckbert's
-//! is (1, 0, 1).
+//! Greedy refinement: Algorithm 1 of the paper by any rule.
 
 use crate::error::Result;
 use crate::facet::{Errors, Facet};
@@ -16,43 +10,10 @@ use crate::patch::{Frame, Patch, Window};
 use crate::predicate::Point;
 use crate::progress::Progress;
 use crate::queue::{Candidate, Queue};
+use crate::rule::{quantile_index, Rule};
 use crate::select::{position, Selector};
 use crate::surface::Surface;
 use crate::triangle::Location;
-
-/// How triangles are ranked, what is inserted and when to stop.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rule {
-    /// Quantile of a triangle's errors that ranks it, in (0, 1].
-    pub priority: f64,
-    /// The rank is multiplied by (number of pixels)^weight.
-    pub weight: f64,
-    /// Quantile at which the pixel to insert stands, in (0, 1].
-    pub candidate: f64,
-    /// A triangle is left alone when the quantile `bound` of its errors is at or
-    /// under `tolerance`.
-    pub tolerance: f64,
-    pub bound: f64,
-}
-
-impl Rule {
-    /// Garland and Heckbert's: nothing but the worst pixel counts.
-    pub fn is_max(&self) -> bool {
-        [self.priority, self.candidate, self.bound] == [1.0; 3] && self.weight == 0.0
-    }
-
-    /// How urgent a triangle of so many pixels is, whose errors have this quantile `priority`
-    /// and this maximum.
-    pub fn priority_of(&self, quantile: f64, worst: f64, pixels: f64) -> f64 {
-        let share = if self.candidate == 1.0 && self.priority < 1.0 { WORST_SHARE * worst } else { 0.0 };
-        let weight = match self.weight {
-            0.0 => 1.0,
-            0.5 => pixels.sqrt(),
-            weight => pixels.powf(weight),
-        };
-        (quantile + share) * weight
-    }
-}
 
 /// Why refinement ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,18 +38,8 @@ const EXACT_PIXELS: usize = 1 << 20;
 /// times the rounding.
 const CLEAR: f64 = 16.0;
 
-/// Where the worst pixel is what gets inserted, this share of its error counts beside
-/// the quantile: a triangle that fits but for one pixel does not wait forever, and
-/// those whose median error is zero are told apart.
-const WORST_SHARE: f64 = 0.3;
-
 /// What a vertex takes with its share of the mesh and the queue while they grow.
 const VERTEX_BYTES: usize = 200;
-
-/// Index of the quantile `q` among `n` sorted errors; 0.5 gives the lower median.
-pub fn quantile_index(n: usize, q: f64) -> usize {
-    ((n - 1) as f64 * q).floor() as usize
-}
 
 /// Where a refinement is to stop, besides the tolerance.
 #[derive(Clone, Copy, Debug)]
@@ -336,7 +287,7 @@ impl Refiner {
         match verdict(patch, facet, worst.error, rule.tolerance) {
             Verdict::Within => return None,
             Verdict::Beyond => {}
-            Verdict::Unclear => return rank_exactly(facet.exact(patch, grid), rule),
+            Verdict::Unclear => return exactly(facet, patch, grid, rule),
         }
         let count = self.errors.values().len();
         let mut known = (1.0, worst.error);
@@ -351,7 +302,7 @@ impl Refiner {
             match verdict(patch, facet, bounded, rule.tolerance) {
                 Verdict::Within => return None,
                 Verdict::Beyond => {}
-                Verdict::Unclear => return rank_exactly(facet.exact(patch, grid), rule),
+                Verdict::Unclear => return exactly(facet, patch, grid, rule),
             }
         }
         let at = quantile(rule.candidate);
@@ -391,18 +342,7 @@ fn verdict(patch: &Patch, facet: &Facet, error: f32, tolerance: f64) -> Verdict 
     }
 }
 
-/// The rule on errors in double precision and their places.
-fn rank_exactly(errors: Vec<(f64, usize)>, rule: &Rule) -> Option<Ranked> {
-    let mut sorted = errors;
-    // Stable: of equal errors the first pixel comes first.
-    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let count = sorted.len();
-    let quantile = |q: f64| sorted[quantile_index(count, q)].0;
-    let worst = sorted.last()?.0;
-    if worst <= rule.tolerance || quantile(rule.bound) <= rule.tolerance && rule.tolerance > 0.0 {
-        return None;
-    }
-    let at = quantile(rule.candidate);
-    let place = sorted.iter().find(|e| e.0 == at)?.1;
-    Some(Ranked { priority: rule.priority_of(quantile(rule.priority), worst, count as f64), place })
+/// The rule on errors in double precision.
+fn exactly<T: Height>(facet: &Facet, patch: &Patch, grid: &Grid<T>, rule: &Rule) -> Option<Ranked> {
+    rule.rank(facet.exact(patch, grid)).map(|(priority, place)| Ranked { priority, place })
 }

@@ -162,6 +162,39 @@ impl Edge {
     }
 }
 
+/// A side of a triangle, in pixels, from left to right.
+pub struct Side {
+    x: [f32; 2],
+    y: f32,
+    slope: f32,
+}
+
+impl Side {
+    #[inline(always)]
+    pub fn new(a: [i32; 2], b: [i32; 2]) -> Self {
+        let ([ax, ay], [bx, by]) = if a[0] <= b[0] { (a, b) } else { (b, a) };
+        let pixels = |v: i32| v as f32 * (1.0 / UNIT as f32);
+        // An upright side is met by the other two where it ends.
+        let slope = if ax < bx { (by - ay) as f32 / (bx - ax) as f32 } else { 0.0 };
+        Side { x: [pixels(ax), pixels(bx)], y: pixels(ay), slope }
+    }
+}
+
+/// The rows that a triangle has between two columns, and perhaps one more on either side.
+#[inline(always)]
+pub fn rows_between(sides: &[Side; 3], left: f32, right: f32) -> (i32, i32) {
+    let (mut top, mut bottom) = (f32::INFINITY, f32::NEG_INFINITY);
+    for side in sides {
+        let (from, to) = (left.max(side.x[0]), right.min(side.x[1]));
+        if from <= to {
+            let [a, b] = [from, to].map(|x| side.y + (x - side.x[0]) * side.slope);
+            (top, bottom) = (top.min(a.min(b)), bottom.max(a.max(b)));
+        }
+    }
+    // A row more than what rounding can take.
+    ((top - 0.5).floor() as i32, (bottom + 0.5).ceil() as i32)
+}
+
 /// Calls `visit(col, row, z, plane)` for every valid pixel of the walk.
 #[inline]
 pub fn for_each_pixel<T: Height>(

@@ -3,7 +3,7 @@
 use crate::grid::{Grid, Height};
 use crate::mesh::{half_edge, triangle_of, Class, NONE};
 use crate::predicate::Point;
-use crate::refine::{quantile_index, Rule};
+use crate::rule::{quantile_index, Rule};
 use crate::surface::Surface;
 use crate::tiling::Tiling;
 

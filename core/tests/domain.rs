@@ -16,7 +16,7 @@ use dem2tin_core::mesh::{half_edge, Class};
 use dem2tin_core::outline::Shape;
 use dem2tin_core::pipeline::{Options, Triangulation};
 use dem2tin_core::predicate::{orient2d, Point, UNIT};
-use dem2tin_core::refine::Rule;
+use dem2tin_core::rule::Rule;
 use dem2tin_core::surface::Surface;
 use proptest::prelude::*;
 

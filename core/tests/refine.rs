@@ -11,7 +11,8 @@ use dem2tin_core::grid::Grid;
 use dem2tin_core::lanes::Vectors;
 use dem2tin_core::pipeline::{Options, Scales};
 use dem2tin_core::predicate::{orient2d, Metric, Point};
-use dem2tin_core::refine::{quantile_index, Refiner, Rule, Stop};
+use dem2tin_core::refine::{Refiner, Stop};
+use dem2tin_core::rule::{quantile_index, Rule};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 

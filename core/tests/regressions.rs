@@ -9,7 +9,8 @@ use dem2tin_core::error::Error;
 use dem2tin_core::grid::Grid;
 use dem2tin_core::noise::spikes;
 use dem2tin_core::pipeline::{Options, Scales};
-use dem2tin_core::refine::{Rule, Stop};
+use dem2tin_core::refine::Stop;
+use dem2tin_core::rule::Rule;
 
 #[test]
 fn a_tolerance_holds_after_coarser_scales_without_a_fit() {

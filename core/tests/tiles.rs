@@ -10,7 +10,8 @@ use dem2tin_core::grid::Grid;
 use dem2tin_core::pipeline::{triangulate, Options, Triangulation};
 use dem2tin_core::predicate::Metric;
 use dem2tin_core::progress::Progress;
-use dem2tin_core::refine::{Rule, Stop};
+use dem2tin_core::refine::Stop;
+use dem2tin_core::rule::Rule;
 use proptest::prelude::*;
 
 fn rmse(done: &Triangulation, z: &[f64], cols: usize) -> f64 {

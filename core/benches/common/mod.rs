@@ -5,7 +5,7 @@
 use dem2tin_core::domain::Constraints;
 use dem2tin_core::outline::Shape;
 use dem2tin_core::pipeline::{Options, Scales};
-use dem2tin_core::refine::Rule;
+use dem2tin_core::rule::Rule;
 
 /// Splitmix64's mixing function.
 pub fn hash(i: u64) -> u64 {

@@ -12,7 +12,7 @@ use dem2tin_core::outline::Shape;
 use dem2tin_core::pipeline::{triangulate, Options, Scales, Triangulation};
 use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::progress::Progress;
-use dem2tin_core::refine::Rule;
+use dem2tin_core::rule::Rule;
 use dem2tin_core::surface::Surface;
 use dem2tin_core::tiling::Tiling;
 use std::collections::BTreeSet;
