@@ -29,7 +29,7 @@ pub struct Found {
 }
 
 /// The errors of a facet's candidates, and their places.
-#[derive(Clone, Default)]
+#[derive(Default)]
 pub struct Errors {
     values: Vec<f32>,
     places: Vec<i32>,

@@ -54,7 +54,6 @@ const BUCKETS: usize = 2 * 40 * 8;
 /// one big heap. In a local queue it is worked off along a space-filling curve,
 /// together with what its insertions bring up: priorities are then in order only to
 /// an eighth, but the working set stays in the cache.
-#[derive(Clone)]
 pub struct Queue {
     open: BinaryHeap<Candidate>,
     /// A local queue's open bucket, the next entry last.

@@ -59,7 +59,6 @@ pub enum Reached {
 }
 
 /// A surface being refined over changing images.
-#[derive(Clone)]
 pub struct Refiner {
     pub surface: Surface,
     vectors: Vectors,

@@ -3,7 +3,7 @@
 use crate::lanes::{Kernel, Lanes, Vectors, LANES};
 
 /// Scratch memory of a selection.
-#[derive(Clone, Default)]
+#[derive(Default)]
 pub struct Selector {
     rest: Vec<f32>,
     next: Vec<f32>,

@@ -16,7 +16,6 @@ use std::collections::HashMap;
 const TRIANGLE_BYTES: usize = 64;
 
 /// One tile's part of the surface; edges towards other tiles are borders of its mesh.
-#[derive(Clone)]
 pub struct Tile {
     pub number: usize,
     pub refiner: Refiner,
