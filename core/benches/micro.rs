@@ -8,11 +8,11 @@ use criterion::{criterion_group, criterion_main, Criterion, Throughput};
 use dem2tin_core::facet::{Errors, Facet};
 use dem2tin_core::grid::{Grid, Height};
 use dem2tin_core::lanes::Vectors;
-use dem2tin_core::patch::{Frame, Patch, Window};
+use dem2tin_core::patch::{Patch, Window};
 use dem2tin_core::pipeline::triangulate;
 use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::progress::Progress;
-use dem2tin_core::queue::{Candidate, Queue};
+use dem2tin_core::queue::{Candidate, Pick, Queue};
 use dem2tin_core::rule::quantile_index;
 use dem2tin_core::select::Selector;
 use std::hint::black_box;
@@ -46,7 +46,7 @@ fn scan(c: &mut Criterion) {
     let z = terrain(SIZE);
     let grid = Grid::new(&z, SIZE, SIZE).unwrap();
     let window = Window { col: 0, row: 0, cols: SIZE, rows: SIZE };
-    let patch = Patch::new(&grid, window, Frame::of(&grid, window)).unwrap();
+    let patch = Patch::new(&grid, window).unwrap();
     let mut errors = Errors::default();
     for (name, n, side) in [("small", 4096, 10), ("large", 16, 200)] {
         let triangles: Vec<_> = triangles(n, side).into_iter().map(|p| (p, heights(&grid, p))).collect();
@@ -58,9 +58,7 @@ fn scan(c: &mut Criterion) {
                 b.iter(|| facets().map(|facet| facet.worst(&patch, vectors).place).sum::<usize>())
             });
             group.bench_function(format!("collect/{kind}"), |b| {
-                b.iter(|| {
-                    facets().map(|facet| facet.collect(&patch, vectors, &mut errors).place).sum::<usize>()
-                })
+                b.iter(|| facets().map(|facet| facet.collect(&patch, vectors, &mut errors)).sum::<f32>())
             });
         }
     }
@@ -116,7 +114,8 @@ fn queue_mix(local: Option<u32>) -> usize {
     let mut queue = Queue::new(local);
     let candidate = |i: u64, triangle: u32, version: u32, most: f64| {
         let priority = most * unit(2 * i).max(1e-9);
-        Candidate { priority, pixel: (hash(2 * i + 1) % (SIDE * SIDE)) as u32, triangle, version }
+        let pixel = (hash(2 * i + 1) % (SIDE * SIDE)) as u32;
+        Candidate { priority, pixel, triangle, version, pick: Pick::KNOWN }
     };
     for i in 0..TRIANGLES {
         queue.push(candidate(i, i as u32, 0, 100.0));

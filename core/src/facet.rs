@@ -1,4 +1,4 @@
-//! The scan of one triangle, eight pixels at a time and in single precision.
+//! The scan of one triangle, in single precision.
 //!
 //! Which pixel is the worst is found here; how far it is off is for `refine` to say, in
 //! double precision.
@@ -6,20 +6,18 @@
 use crate::grid::{Grid, Height};
 use crate::lanes::{Kernel, Lanes, Vectors, LANES};
 use crate::patch::Patch;
-use crate::predicate::{orient2d, Point, SUB_BITS, UNIT};
-use crate::scan::{rows_between, Plane, Side, Spans};
+use crate::predicate::{Point, SUB_BITS};
+use crate::scan::{Plane, Spans};
+use crate::walk::{pixels_of, Visitor, Walk};
 
 /// A triangle over a patch.
 pub struct Facet {
-    /// Corners relative to the patch.
-    p: [Point; 3],
-    /// Relative to the reference of the patch.
-    plane: Plane,
+    walk: Walk,
     /// A bound of all |heights| of the plane that are met on the way.
     largest: f64,
 }
 
-/// The worst pixel of a facet.
+/// A pixel of a facet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
     /// |z - plane|; -1 if there is no candidate.
@@ -28,11 +26,10 @@ pub struct Found {
     pub place: usize,
 }
 
-/// The errors of a facet's candidates, and their places.
+/// The errors of a facet's candidates.
 #[derive(Default)]
 pub struct Errors {
     values: Vec<f32>,
-    places: Vec<i32>,
     count: usize,
 }
 
@@ -40,21 +37,7 @@ impl Errors {
     pub fn values(&self) -> &[f32] {
         &self.values[..self.count]
     }
-
-    pub fn places(&self) -> &[i32] {
-        &self.places[..self.count]
-    }
 }
-
-/// In wider triangles it pays to find the rows that a strip of columns meets.
-const NARROW: i32 = 2 * LANES as i32;
-
-/// With sides in pixels up to this the edge functions fit 32 bits, those of the pixels of a
-/// strip beside the triangle included.
-const MAX_SIDE: i32 = 110;
-
-/// The same where the corners are pixels; larger triangles are walked by spans.
-const MAX_WHOLE_SIDE: i32 = 1 << 14;
 
 /// What single precision may be off, as a part of the heights involved (sixteen times
 /// half a unit in the last place, of less than eight roundings).
@@ -75,7 +58,7 @@ impl Facet {
         // A row may start up to `LANES` pixels beside the triangle.
         let beside = LANES as f64 * plane.per_col.abs();
         let largest = z[0].abs().max(z[1].abs()).max(z[2].abs()) + beside;
-        Facet { p, plane, largest }
+        Facet { walk: Walk::new(p, plane), largest }
     }
 
     /// How far an error in single precision can be off.
@@ -91,29 +74,49 @@ impl Facet {
     /// Whether single precision holds its plane as it is: one that is level and not too finely
     /// so.
     pub fn is_exact(&self) -> bool {
-        let Plane { per_col, per_row, z0, .. } = self.plane;
+        let Plane { per_col, per_row, z0, .. } = self.walk.plane;
         per_col == 0.0 && per_row == 0.0 && f64::from(z0 as f32) == z0
     }
 
     /// Its area in pixels, which is about their number.
+    #[inline]
     pub fn pixels(&self) -> usize {
-        let [a, b, c] = self.p;
-        (orient2d(a, b, c) >> (2 * SUB_BITS + 1)) as usize
+        pixels_of(self.walk.p)
+    }
+
+    /// Pixels that each candidate stands for: 1 but for a sample.
+    #[inline]
+    pub fn thinning(&self) -> usize {
+        self.walk.thinning()
+    }
+
+    /// About so many of its pixels, evenly spread, if it has at least twice as many.
+    #[inline]
+    pub fn sampled(&self, pixels: usize) -> Option<Self> {
+        Some(Facet { walk: self.walk.sampled(pixels)?, ..*self })
     }
 
     /// The error of a candidate, in double precision.
     #[inline]
     pub fn error<T: Height>(&self, patch: &Patch, grid: &Grid<T>, place: usize) -> f64 {
         let (col, row) = patch.split(place);
-        let plane = self.plane.at(self.plane.on_row(row), col);
+        let plane = self.walk.plane.at(self.walk.plane.on_row(row), col);
         (patch.height(place, grid) - patch.reference() - plane).abs()
+    }
+
+    /// A pixel of it or beside it, in the heights of the patch.
+    #[inline]
+    pub fn middle(&self, patch: &Patch) -> usize {
+        let [a, b, c] = self.walk.p;
+        let [col, row] = [a.x + b.x + c.x, a.y + b.y + c.y].map(|v| ((v / 3) >> SUB_BITS) as usize);
+        row * patch.stride() + col
     }
 
     /// The errors of all candidates in double precision and their places, in raster
     /// order.
     pub fn exact<T: Height>(&self, patch: &Patch, grid: &Grid<T>) -> Vec<(f64, usize)> {
         let mut errors = Vec::new();
-        for (row, first, end) in Spans::new(self.p) {
+        for (row, first, end) in Spans::new(self.walk.p) {
             let places = row * patch.stride() + first..row * patch.stride() + end;
             let candidates = places.filter(|&place| !patch.z()[place].is_nan());
             errors.extend(candidates.map(|place| (self.error(patch, grid, place), place)));
@@ -127,117 +130,17 @@ impl Facet {
         vectors.run(Worst { facet: self, patch })
     }
 
-    /// As [`Facet::worst`], and collects all errors.
+    /// A pixel with the largest error up to `limit`, always the same one.
     #[inline]
-    pub fn collect(&self, patch: &Patch, vectors: Vectors, errors: &mut Errors) -> Found {
+    pub fn worst_up_to(&self, limit: f32, patch: &Patch, vectors: Vectors) -> Found {
+        vectors.run(WorstUpTo { facet: self, patch, limit })
+    }
+
+    /// Collects all errors and returns the largest, -1 if there is no candidate.
+    #[inline]
+    pub fn collect(&self, patch: &Patch, vectors: Vectors, errors: &mut Errors) -> f32 {
         vectors.run(Collect { facet: self, patch, errors })
     }
-
-    /// Shows the pixels of the triangle to the visitor.
-    #[inline(always)]
-    fn walk<L: Lanes>(&self, patch: &Patch, visitor: &mut impl Visitor<L>) {
-        let [a, b, c] = self.p;
-        let ceil = |v: i32| (v + UNIT - 1) >> SUB_BITS;
-        let (left, right) = (ceil(a.x.min(b.x).min(c.x)), a.x.max(b.x).max(c.x) >> SUB_BITS);
-        let (top, bottom) = (ceil(a.y.min(b.y).min(c.y)), a.y.max(b.y).max(c.y) >> SUB_BITS);
-        let (cols, rows) = (right - left, bottom - top);
-        if cols < NARROW && rows < MAX_SIDE {
-            let mut left = left;
-            while left <= right {
-                self.walk_strip(patch, [left, top, bottom], self.p, SUB_BITS, visitor);
-                left += LANES as i32;
-            }
-            return;
-        }
-        // Corners on pixels need no finer lattice.
-        let is_whole = (a.x | a.y | b.x | b.y | c.x | c.y) & (UNIT - 1) == 0;
-        let (p, bits, most) = if is_whole {
-            (self.p.map(|p| Point { x: p.x >> SUB_BITS, y: p.y >> SUB_BITS }), 0, MAX_WHOLE_SIDE)
-        } else {
-            (self.p, SUB_BITS, MAX_SIDE)
-        };
-        if cols < most && rows < most {
-            // Relative to where single precision is exact.
-            let [a, b, c] = self.p.map(|p| [p.x - (left << SUB_BITS), p.y - (top << SUB_BITS)]);
-            let sides = [Side::new(a, b), Side::new(b, c), Side::new(c, a)];
-            let mut col = 0;
-            while col <= cols {
-                let (first, last) = rows_between(&sides, col as f32, (col + LANES as i32 - 1) as f32);
-                let [first, last] = [first.max(0), last.min(rows)].map(|row| top + row);
-                self.walk_strip(patch, [left + col, first, last], p, bits, visitor);
-                col += LANES as i32;
-            }
-        } else {
-            self.walk_spans(patch, visitor);
-        }
-    }
-
-    /// A strip of columns that fit one vector: inside is where no edge function is negative
-    /// (Pineda 1988). `p` are the corners with so many bits below the pixel.
-    #[inline(always)]
-    fn walk_strip<L: Lanes>(
-        &self,
-        patch: &Patch,
-        [left, top, bottom]: [i32; 3],
-        p: [Point; 3],
-        bits: u32,
-        visitor: &mut impl Visitor<L>,
-    ) {
-        let (x, y) = (left << bits, top << bits);
-        let edge = |k: usize| {
-            let (a, b) = (p[k], p[(k + 1) % 3]);
-            let (dx, dy) = (b.x - a.x, b.y - a.y);
-            (L::ramp(dx * (y - a.y) - dy * (x - a.x), -dy << bits), L::splat_i(dx << bits))
-        };
-        let [(mut e0, down0), (mut e1, down1), (mut e2, down2)] = [edge(0), edge(1), edge(2)];
-        let plane = &self.plane;
-        let start = L::splat(plane.at(plane.on_row(top as usize), left as usize) as f32);
-        let across = L::mul(L::splat(plane.per_col as f32), L::to_f(L::ramp(0, 1)));
-        let start = L::add(start, across);
-        let (slope, one) = (L::splat(plane.per_row as f32), L::splat(1.0));
-        let mut down = L::splat(0.0);
-        let at = top as usize * patch.stride() + left as usize;
-        let mut place = L::ramp(at as i32, 1);
-        let stride = L::splat_i(patch.stride() as i32);
-        let end = bottom as usize * patch.stride() + left as usize + LANES;
-        for row in patch.z().get(at..end).unwrap_or_default().chunks(patch.stride()) {
-            let Some(heights) = row.first_chunk() else { return };
-            let level = L::add(start, L::mul(slope, down));
-            let error = L::abs(L::sub(L::load(heights), level));
-            let outside = L::or_i(L::or_i(e0, e1), e2);
-            visitor.see(L::where_negative(outside, L::splat(-1.0), error), place);
-            (e0, e1, e2) = (L::add_i(e0, down0), L::add_i(e1, down1), L::add_i(e2, down2));
-            down = L::add(down, one);
-            place = L::add_i(place, stride);
-        }
-    }
-
-    #[inline(always)]
-    fn walk_spans<L: Lanes>(&self, patch: &Patch, visitor: &mut impl Visitor<L>) {
-        let plane = &self.plane;
-        let slope = L::splat(plane.per_col as f32);
-        let (ramp, lanes) = (L::to_f(L::ramp(0, 1)), L::splat(LANES as f32));
-        for (row, first, end) in Spans::new(self.p) {
-            let start = L::splat(plane.at(plane.on_row(row), first) as f32);
-            let mut across = ramp;
-            let mut at = row * patch.stride() + first;
-            let last = row * patch.stride() + end;
-            while at < last {
-                let Some(heights) = patch.z().get(at..).and_then(|z| z.first_chunk()) else { return };
-                let error = L::abs(L::sub(L::sub(L::load(heights), start), L::mul(slope, across)));
-                let inside = L::ramp(at as i32 - last as i32, 1);
-                visitor.see(L::where_negative(inside, error, L::splat(-1.0)), L::ramp(at as i32, 1));
-                across = L::add(across, lanes);
-                at += LANES;
-            }
-        }
-    }
-}
-
-trait Visitor<L: Lanes> {
-    /// Eight errors and their places; the error is -1 beside the triangle and NaN where there
-    /// is no candidate. Must be `#[inline(always)]`, like all that a kernel runs.
-    fn see(&mut self, error: L::F, place: L::I);
 }
 
 /// Lane by lane the largest error so far.
@@ -268,34 +171,35 @@ impl<L: Lanes> Visitor<L> for Largest<L> {
     }
 }
 
-struct Collector<'a, L: Lanes> {
+/// The same among errors up to a limit.
+struct Limited<L: Lanes> {
     largest: Largest<L>,
-    errors: &'a mut Errors,
+    limit: L::F,
+}
+
+impl<L: Lanes> Visitor<L> for Limited<L> {
+    #[inline(always)]
+    fn see(&mut self, error: L::F, place: L::I) {
+        let is_beyond = L::greater(error, self.limit);
+        self.largest.see(L::choose(is_beyond, L::splat(-1.0), error), place);
+    }
+}
+
+struct Collector<'a, L: Lanes> {
+    largest: L::F,
+    /// With room for all.
+    values: &'a mut [f32],
+    count: usize,
 }
 
 impl<L: Lanes> Visitor<L> for Collector<'_, L> {
     #[inline(always)]
-    fn see(&mut self, error: L::F, place: L::I) {
-        self.largest.see(error, place);
-        let Errors { values, places, count } = self.errors;
-        if values.len() < *count + LANES {
-            // Off the path of the walk.
-            grow(values, places);
-        }
-        let (values, places) = (&mut values[*count..], &mut places[*count..]);
-        if let (Some(values), Some(places)) = (values.first_chunk_mut(), places.first_chunk_mut()) {
-            let is_candidate = L::greater(error, L::splat(-0.5));
-            L::compress_i(is_candidate, place, places);
-            *count += L::compress(is_candidate, error, values);
+    fn see(&mut self, error: L::F, _: L::I) {
+        self.largest = L::max(error, self.largest);
+        if let Some(values) = self.values.get_mut(self.count..).and_then(|values| values.first_chunk_mut()) {
+            self.count += L::compress(L::greater(error, L::splat(-0.5)), error, values);
         }
     }
-}
-
-#[cold]
-fn grow(values: &mut Vec<f32>, places: &mut Vec<i32>) {
-    let room = (2 * values.len()).max(1 << 10);
-    values.resize(room, 0.0);
-    places.resize(room, 0);
 }
 
 struct Worst<'a> {
@@ -309,8 +213,25 @@ impl Kernel for Worst<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self) -> Found {
         let mut largest = Largest::<L>::new();
-        self.facet.walk(self.patch, &mut largest);
+        self.facet.walk.run(self.patch, &mut largest);
         largest.found()
+    }
+}
+
+struct WorstUpTo<'a> {
+    facet: &'a Facet,
+    patch: &'a Patch,
+    limit: f32,
+}
+
+impl Kernel for WorstUpTo<'_> {
+    type Output = Found;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> Found {
+        let mut limited = Limited { largest: Largest::<L>::new(), limit: L::splat(self.limit) };
+        self.facet.walk.run(self.patch, &mut limited);
+        limited.largest.found()
     }
 }
 
@@ -321,25 +242,30 @@ struct Collect<'a> {
 }
 
 impl Kernel for Collect<'_> {
-    type Output = Found;
+    type Output = f32;
 
     #[inline(always)]
-    fn run<L: Lanes>(self) -> Found {
-        self.errors.count = 0;
-        let mut collector = Collector { largest: Largest::<L>::new(), errors: self.errors };
-        self.facet.walk(self.patch, &mut collector);
-        collector.largest.found()
+    fn run<L: Lanes>(self) -> f32 {
+        let Errors { values, count } = self.errors;
+        if values.len() < self.facet.walk.room() {
+            values.resize(2 * self.facet.walk.room(), 0.0);
+        }
+        let mut collector = Collector::<L> { largest: L::splat(-1.0), values, count: 0 };
+        self.facet.walk.run(self.patch, &mut collector);
+        *count = collector.count;
+        L::largest(collector.largest)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::patch::{Frame, Window};
+    use crate::patch::Window;
+    use crate::predicate::orient2d;
     use proptest::prelude::*;
 
     fn brute(facet: &Facet, patch: &Patch, size: i32) -> Vec<(i32, f64)> {
-        let p = facet.p;
+        let Walk { p, plane, .. } = facet.walk;
         let inside = |q| (0..3).all(|k| orient2d(p[k], p[(k + 1) % 3], q) >= 0);
         (0..size * size)
             .map(|i| (i % size, i / size))
@@ -348,9 +274,8 @@ mod tests {
             .map(|(at, x, y)| {
                 (
                     at,
-                    (f64::from(patch.z()[at as usize])
-                        - facet.plane.at(facet.plane.on_row(y as usize), x as usize))
-                    .abs(),
+                    (f64::from(patch.z()[at as usize]) - plane.at(plane.on_row(y as usize), x as usize))
+                        .abs(),
                 )
             })
             .filter(|(_, error)| !error.is_nan())
@@ -369,7 +294,7 @@ mod tests {
             if orient2d(p[0], p[1], p[2]) < 0 { p.swap(1, 2); }
             let grid = Grid::new(&z, 40, 40).unwrap();
             let window = Window { col: 0, row: 0, cols: 40, rows: 40 };
-            let patch = Patch::new(&grid, window, Frame::of(&grid, window)).unwrap();
+            let patch = Patch::new(&grid, window).unwrap();
             let facet = Facet::new(&patch, p, heights);
             let expected = brute(&facet, &patch, 40);
             let largest = expected.iter().fold(-1.0f64, |a, b| a.max(b.1));
@@ -377,20 +302,55 @@ mod tests {
             let (mut plain, mut best) = (Errors::default(), Errors::default());
             let found = facet.collect(&patch, Vectors::Plain, &mut plain);
             prop_assert_eq!(facet.collect(&patch, Vectors::best(), &mut best), found);
-            prop_assert_eq!((plain.values(), plain.places()), (best.values(), best.places()));
-            prop_assert_eq!(facet.worst(&patch, Vectors::Plain), found);
-            prop_assert_eq!(facet.worst(&patch, Vectors::best()), found);
-            let mut pairs: Vec<_> = plain.places().iter().copied().zip(plain.values().iter().copied()).collect();
-            pairs.sort_unstable_by_key(|pair| pair.0);
-            prop_assert_eq!(pairs.iter().map(|pair| pair.0).collect::<Vec<_>>(), expected.iter().map(|e| e.0).collect::<Vec<_>>());
-            for (pair, &(_, error)) in pairs.into_iter().zip(&expected) {
-                prop_assert!((f64::from(pair.1) - error).abs() <= bound);
+            prop_assert_eq!(plain.values(), best.values());
+            let worst = facet.worst(&patch, Vectors::Plain);
+            prop_assert_eq!(facet.worst(&patch, Vectors::best()), worst);
+            prop_assert_eq!((worst.error, plain.values().len()), (found, expected.len()));
+            let sorted = |mut errors: Vec<f64>| { errors.sort_by(f64::total_cmp); errors };
+            let errors = sorted(plain.values().iter().map(|&error| error.into()).collect());
+            for (error, expected) in errors.iter().zip(sorted(expected.iter().map(|e| e.1).collect())) {
+                prop_assert!((error - expected).abs() <= bound);
             }
-            if !expected.is_empty() {
-                prop_assert_eq!(found.error, plain.values().iter().fold(-1.0f32, |a, &b| a.max(b)));
-                let at = plain.places().iter().position(|&place| place as usize == found.place).unwrap();
-                prop_assert_eq!(found.error, plain.values()[at]);
+            for &error in plain.values().iter().step_by(5) {
+                let found = facet.worst_up_to(error, &patch, Vectors::Plain);
+                prop_assert_eq!(facet.worst_up_to(error, &patch, Vectors::best()), found);
+                prop_assert_eq!(found.error, error);
+                let there = expected.iter().find(|e| e.0 as usize == found.place).unwrap().1;
+                prop_assert!((f64::from(error) - there).abs() <= bound);
             }
+            if let Some(sample) = facet.sampled(16) {
+                let found = sample.collect(&patch, Vectors::Plain, &mut plain);
+                prop_assert_eq!(sample.collect(&patch, Vectors::best(), &mut best), found);
+                prop_assert_eq!(plain.values(), best.values());
+                let of_all = |error: f32| expected.iter().any(|e| (f64::from(error) - e.1).abs() <= bound);
+                prop_assert!(plain.values().iter().all(|&error| of_all(error)));
+                prop_assert_eq!(sample.worst(&patch, Vectors::best()).error, found);
+            }
+        }
+    }
+
+    #[test]
+    fn a_sample_stands_for_all_pixels() {
+        let size = 512;
+        let z = vec![0.0f32; size * size];
+        let grid = Grid::new(&z, size, size).unwrap();
+        let patch = Patch::new(&grid, Window { col: 0, row: 0, cols: size, rows: size }).unwrap();
+        for (col, row, lowest) in
+            [(500, 500, 200), (30, 500, 0), (500, 30, 0), (100, 100, 200), (40, 40, 200)]
+        {
+            let p = [(0, 0), (col, 20), (5, row)].map(|(col, row)| Point::pixel(col, row));
+            let facet = Facet::new(&patch, p, [0.0; 3]);
+            let Some(sample) = facet.sampled(256) else {
+                assert!(lowest == 0 || facet.pixels() < 800);
+                continue;
+            };
+            let (mut all, mut some) = (Errors::default(), Errors::default());
+            facet.collect(&patch, Vectors::best(), &mut all);
+            sample.collect(&patch, Vectors::best(), &mut some);
+            let (all, some) = (all.values().len(), some.values().len());
+            assert!((lowest..600).contains(&some), "{some} of {all}");
+            let stood_for = (some * sample.thinning()) as f64 / all as f64;
+            assert!((0.8..1.25).contains(&stood_for), "{some} of {all}: {stood_for}");
         }
     }
 }

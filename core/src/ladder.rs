@@ -7,7 +7,7 @@
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
-use crate::patch::{Frame, Patch};
+use crate::patch::Patch;
 use crate::progress::Progress;
 use crate::queue::pooled;
 use crate::refine::{Goal, Refiner, Stop};
@@ -15,12 +15,15 @@ use crate::rule::Rule;
 use crate::seams::{SeamPoint, Seams};
 use crate::surface::Surface;
 use crate::threads::spread;
-use crate::tiles::{cut, merge, Shared, Tile};
+use crate::tiles::{cut, merge, Queued, Shared, Tile};
 use crate::tiling::Tiling;
 
 /// Up to these shares of the points all tiles go down to one level; what is left then is
 /// shared out among them.
-const NEARLY: [f64; 3] = [0.9, 0.98, 0.996];
+const NEARLY: [f64; 5] = [0.9, 0.98, 0.996, 0.9992, 0.99984];
+
+/// So many of them are enough where the largest error alone does not count.
+const FEWER: usize = 3;
 
 /// Whether the tiles have to end on one level, or roughly so, because other scales follow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,11 +32,18 @@ pub enum End {
     Rough,
 }
 
+/// With this share of the points in place samples stand for large triangles no longer.
+const CLOSE: f64 = 0.85;
+
 /// A rung that would take less than this share of what is left does not pay.
 const WORTH: f64 = 0.3;
 
 /// How much a rung may multiply the points.
 const GROWTH: f64 = 20.0;
+
+/// Before the last rung a tile that takes more than expected must leave something for
+/// errors that turn up elsewhere: all of them take at most this share of what is left.
+const MOST_LEFT: f64 = 0.75;
 
 /// How many times the points it is expected to need a tile may take on a rung.
 const ROOM: f64 = 2.0;
@@ -56,7 +66,7 @@ impl<'t> Refinement<'t> {
         }
         let seams = Seams::new(&surface, tiling);
         let (shared, tiles) = cut(surface, tiling)?;
-        Ok(Refinement::Tiled(Ladder { shared, tiles, seams, tiling }))
+        Ok(Refinement::Tiled(Ladder { shared, tiles, seams, tiling, outlook: None }))
     }
 
     /// Number of vertices that carry a height.
@@ -81,14 +91,19 @@ impl<'t> Refinement<'t> {
             Refinement::Whole(refiner) => return refiner.run(grid, rule, max_points, progress),
             Refinement::Tiled(ladder) => ladder,
         };
-        ladder.tiles.iter_mut().for_each(|tile| tile.frame = None);
+        for tile in &mut ladder.tiles {
+            if let Queued::Now(frame) = tile.queued {
+                tile.queued = Queued::Before(frame);
+            }
+        }
         let image = Image { grid, rule };
         if max_points < grid.rows() * grid.cols() {
             return ladder.count_down(image, (max_points, end), progress);
         }
         let rooms = vec![usize::MAX; ladder.tiles.len()];
         let points = ladder.refine_seams(image, f64::NEG_INFINITY, usize::MAX);
-        ladder.descend(image, f64::NEG_INFINITY, &rooms, points, progress)?;
+        let down = Rung { level: f64::NEG_INFINITY, rooms: &rooms, is_exact: false };
+        ladder.descend(image, down, points, progress)?;
         Ok(Stop::Tolerance)
     }
 
@@ -111,11 +126,23 @@ struct Image<'a, T> {
 /// How many candidates of a tile wait at about which priority.
 type Waiting = Vec<(f64, usize)>;
 
+/// How far the tiles go at a time.
+#[derive(Clone, Copy)]
+struct Rung<'a> {
+    level: f64,
+    /// Vertices at most, for each tile.
+    rooms: &'a [usize],
+    /// Whether samples stand for large triangles no longer.
+    is_exact: bool,
+}
+
 pub struct Ladder<'t> {
     shared: Shared,
     tiles: Vec<Tile>,
     seams: Seams,
     tiling: &'t Tiling,
+    /// From the first image on.
+    outlook: Option<Outlook>,
 }
 
 impl Ladder<'_> {
@@ -130,39 +157,61 @@ impl Ladder<'_> {
         (max_points, end): (usize, End),
         progress: &mut Progress,
     ) -> Result<Stop> {
-        let nearly = if end == End::Level { &NEARLY[..] } else { &NEARLY[..1] };
         progress.part([0.0, 0.0]);
-        // Nothing is inserted yet: all triangles are queued.
         let none = vec![0; self.tiles.len()];
-        self.descend(image, f64::INFINITY, &none, vec![Vec::new(); none.len()], progress)?;
-        let mut outlook = Outlook::new(image.rule);
-        loop {
+        let no_points = |rooms: &[usize]| vec![Vec::new(); rooms.len()];
+        let queueing = Rung { level: f64::INFINITY, rooms: &none, is_exact: false };
+        if self.tiles.iter().any(|tile| matches!(tile.queued, Queued::Nothing)) {
+            self.descend(image, queueing, no_points(&none), progress)?;
+        }
+        let shares = if image.rule.is_max() { &NEARLY[..] } else { &NEARLY[..FEWER] };
+        let mut outlook = self.outlook.take().unwrap_or_else(|| Outlook::new(image.rule));
+        let stop = loop {
             let count = self.count();
             let repair = if image.rule.is_max() { REPAIR * self.seams.count() as f64 } else { 0.0 };
             let max_points = max_points.saturating_sub(repair as usize);
-            let most = max_points as f64;
-            if count >= max_points {
-                return Ok(Stop::Points);
+            let (most, before) = (max_points as f64, count as f64);
+            if count >= max_points || end == End::Rough && before > NEARLY[0] * most {
+                break Stop::Points;
+            }
+            let is_exact = end == End::Level && before > CLOSE * most;
+            if is_exact && self.tiles.iter().any(|tile| tile.refiner.has_samples()) {
+                self.descend(image, Rung { is_exact, ..queueing }, no_points(&none), progress)?;
             }
             let waiting: Vec<Waiting> = self.tiles.iter().map(|tile| tile.refiner.waiting()).collect();
-            if !waiting.iter().flatten().any(|&(priority, _)| priority > 0.0) {
-                return Ok(Stop::Tolerance);
+            let is_done = |tile: &Tile| matches!(tile.queued, Queued::Now(_));
+            if self.tiles.iter().all(is_done)
+                && !waiting.iter().flatten().any(|&(priority, _)| priority > 0.0)
+            {
+                break Stop::Tolerance;
             }
-            let (before, left) = (count as f64, (max_points - count) as f64);
-            let target =
-                nearly.iter().map(|share| share * most).find(|target| target - before > WORTH * left);
+            let left = (max_points - count) as f64;
+            let target = match end {
+                End::Level => {
+                    shares.iter().map(|share| share * most).find(|target| target - before > WORTH * left)
+                }
+                End::Rough => Some(most),
+            };
             let wanted = target.map_or(left, |target| target.min(GROWTH * before) - before);
             progress.part([before / most, ((before + wanted) / most).min(1.0)]);
             let level = outlook.level_for(wanted, &waiting);
             let needs = outlook.needs(&waiting, level);
             let points = self.refine_seams(image, level, (left / 8.0) as usize);
             let left = max_points.saturating_sub(self.count());
-            let room = left.min((ROOM * wanted) as usize + 1);
+            let room = match end {
+                End::Level if target.is_some() => {
+                    ((ROOM * wanted) as usize).min((MOST_LEFT * left as f64) as usize) + 1
+                }
+                _ => left,
+            };
             let is_level = target.is_some() || end == End::Level && left > self.tiles.len();
             let level = if is_level { level } else { f64::NEG_INFINITY };
-            self.descend(image, level, &share_out(room, &needs), points, progress)?;
+            let rung = Rung { level, rooms: &share_out(room, &needs), is_exact };
+            self.descend(image, rung, points, progress)?;
             outlook.learn((self.count() - count) as f64 / wanted);
-        }
+        };
+        self.outlook = Some(outlook);
+        Ok(stop)
     }
 
     /// One rung: new seam vertices, and in each tile what is over the level, but no more
@@ -170,19 +219,22 @@ impl Ladder<'_> {
     fn descend<T: Height>(
         &mut self,
         image: Image<T>,
-        level: f64,
-        rooms: &[usize],
+        Rung { level, rooms, is_exact }: Rung,
         points: Vec<Vec<(SeamPoint, u32)>>,
         progress: &mut Progress,
     ) -> Result<()> {
         let (Image { grid, rule }, tiling) = (image, self.tiling);
         let tiles = self.tiles.iter_mut().zip(points).zip(rooms);
         let is_busy = |((tile, points), room): &((&mut Tile, Vec<_>), &usize)| {
-            **room > 0 || !points.is_empty() || tile.frame.is_none()
+            let is_ready = matches!(tile.queued, Queued::Now(_)) && !(is_exact && tile.refiner.has_samples());
+            **room > 0 || !points.is_empty() || !is_ready
         };
         let busy: Vec<_> = tiles.filter(is_busy).collect();
         spread(progress, busy.into_iter(), |((tile, points), &room), progress| {
             let mut patch = tile.prepare(image, tiling, &points, progress)?;
+            if is_exact && tile.refiner.has_samples() {
+                tile.refiner.exact(grid, &patch, rule, progress)?;
+            }
             let goal = Goal { points: tile.refiner.count().saturating_add(room), level };
             tile.refiner.refine(grid, &mut patch, rule, goal, progress)?;
             tile.refiner.compact();
@@ -213,6 +265,16 @@ impl Ladder<'_> {
     }
 }
 
+/// Points that are forecast for one triangle at most: what a few cliffs need says nothing of others.
+const FARTHEST: f64 = 64.0;
+
+/// Nearly every triangle over the level takes a point.
+const LEAST_SHARE: f64 = 0.5;
+
+/// Levels are told apart by less than a thousandth, over 128 octaves.
+const STEPS_AN_OCTAVE: f64 = 1024.0;
+const MOST_STEPS: u32 = 128 << 10;
+
 /// How many points a triangle is going to need until its priority is down at a level:
 /// share (priority / level)^steepness.
 struct Outlook {
@@ -232,7 +294,7 @@ impl Outlook {
         let needs = |&(priority, count): &(f64, usize)| {
             let is_over = priority > level;
             if is_over {
-                count as f64 * (priority / level).powf(self.steepness)
+                count as f64 * (priority / level).powf(self.steepness).min(FARTHEST)
             } else {
                 0.0
             }
@@ -240,25 +302,27 @@ impl Outlook {
         waiting.iter().map(|tile| self.share * tile.iter().map(needs).sum::<f64>()).collect()
     }
 
-    /// The level that takes so many points.
+    /// The level that takes so many points, under the highest priority.
     fn level_for(&self, wanted: f64, waiting: &[Waiting]) -> f64 {
         let all = [pooled(waiting.iter().flatten().copied())];
-        let (mut low, mut high) = (0, f64::MAX.to_bits());
-        while high - low > 1 << 30 {
-            let middle = low.midpoint(high);
-            if self.needs(&all, f64::from_bits(middle))[0] > wanted {
-                low = middle;
+        let top = all[0].iter().fold(0.0, |top: f64, &(priority, _)| top.max(priority));
+        // By steps that go with the heights: in other units the mesh is the same.
+        let level = |step: u32| top * (-f64::from(step) / STEPS_AN_OCTAVE).exp2();
+        let (mut first, mut last) = (1, MOST_STEPS);
+        while first < last {
+            let middle = first.midpoint(last);
+            if self.needs(&all, level(middle))[0] > wanted {
+                last = middle;
             } else {
-                high = middle;
+                first = middle + 1;
             }
         }
-        // Something must be over the level.
-        f64::from_bits(low)
+        level(first)
     }
 
     /// Takes in how many times the points expected it took.
     fn learn(&mut self, ratio: f64) {
-        self.share *= ratio.clamp(0.25, 4.0);
+        self.share = (self.share * ratio.clamp(0.25, 4.0)).max(LEAST_SHARE);
     }
 }
 
@@ -284,22 +348,30 @@ impl Tile {
         progress: &mut Progress,
     ) -> Result<Patch> {
         let window = tiling.window(self.number);
-        let frame = self.frame.unwrap_or_else(|| Frame::of(grid, window));
-        let mut patch = self.refiner.patch(grid, window, frame)?;
+        let mut patch = match self.queued {
+            Queued::Nothing => Patch::new(grid, window),
+            Queued::Before(frame) => Patch::again(grid, window, frame),
+            Queued::Now(frame) => Patch::framed(grid, window, frame),
+        }?;
+        self.refiner.exclude_vertices(&mut patch);
         tiling.on_seams(window).for_each(|p| patch.exclude(p));
+        if let Queued::Before(_) = self.queued {
+            self.refiner.start_again(grid, &patch, rule, progress)?;
+        }
+        let is_first = matches!(self.queued, Queued::Nothing);
         for &(SeamPoint { pixel, z, .. }, number) in points {
             let Some(place) = self.border(pixel) else { continue };
-            let v = if self.frame.is_some() {
+            let v = if !is_first {
                 self.refiner.insert_at(grid, &mut patch, rule, (pixel, z, place)).0
             } else {
                 self.refiner.surface.insert_pixel(pixel, place, z)
             };
             self.share(v, number);
         }
-        if self.frame.is_none() {
+        if is_first {
             self.refiner.start(grid, &patch, rule, progress)?;
-            self.frame = Some(frame);
         }
+        self.queued = Queued::Now(patch.frame());
         Ok(patch)
     }
 }

@@ -32,6 +32,9 @@ pub trait Lanes: Copy {
     fn to_f(a: Self::I) -> Self::F;
     /// `yes` where `sign` is negative, `no` elsewhere.
     fn where_negative(sign: Self::I, yes: Self::F, no: Self::F) -> Self::F;
+    /// The larger of two, `b` where `a` is no number.
+    fn max(a: Self::F, b: Self::F) -> Self::F;
+    fn largest(values: Self::F) -> f32;
     /// The largest of the values and the smallest index that goes with it.
     fn first_largest(values: Self::F, index: Self::I) -> (f32, i32);
     /// Writes the lanes of the mask, closed up, to the front of `into` (what follows
@@ -172,8 +175,16 @@ impl Lanes for Plain {
         std::array::from_fn(|i| if sign[i] < 0 { yes[i] } else { no[i] })
     }
     #[inline(always)]
+    fn max(a: Self::F, b: Self::F) -> Self::F {
+        both(a, b, |a, b| if a > b { a } else { b })
+    }
+    #[inline(always)]
+    fn largest(values: Self::F) -> f32 {
+        values.iter().fold(f32::NEG_INFINITY, |a, &b| if b > a { b } else { a })
+    }
+    #[inline(always)]
     fn first_largest(values: Self::F, index: Self::I) -> (f32, i32) {
-        let largest = values.iter().fold(f32::NEG_INFINITY, |a, &b| if b > a { b } else { a });
+        let largest = Self::largest(values);
         let at = values.iter().zip(index).filter(|(&v, _)| v == largest).map(|(_, i)| i).min();
         (largest, at.unwrap_or(i32::MAX))
     }
@@ -324,17 +335,27 @@ mod avx2 {
             unsafe { _mm256_blendv_ps(no, yes, _mm256_castsi256_ps(sign)) }
         }
         #[inline(always)]
-        fn first_largest(values: Self::F, index: Self::I) -> (f32, i32) {
+        fn max(a: Self::F, b: Self::F) -> Self::F {
+            unsafe { _mm256_max_ps(a, b) }
+        }
+        #[inline(always)]
+        fn largest(values: Self::F) -> f32 {
             unsafe {
                 let half = _mm_max_ps(_mm256_castps256_ps128(values), _mm256_extractf128_ps::<1>(values));
                 let pair = _mm_max_ps(half, _mm_movehl_ps(half, half));
-                let largest = _mm_max_ss(pair, _mm_shuffle_ps::<1>(pair, pair));
-                let is_it = _mm256_cmp_ps::<_CMP_EQ_OQ>(values, _mm256_broadcastss_ps(largest));
+                _mm_cvtss_f32(_mm_max_ss(pair, _mm_shuffle_ps::<1>(pair, pair)))
+            }
+        }
+        #[inline(always)]
+        fn first_largest(values: Self::F, index: Self::I) -> (f32, i32) {
+            unsafe {
+                let largest = Self::largest(values);
+                let is_it = _mm256_cmp_ps::<_CMP_EQ_OQ>(values, _mm256_set1_ps(largest));
                 let index = Self::choose_i(is_it, index, _mm256_set1_epi32(i32::MAX));
                 let half = _mm_min_epi32(_mm256_castsi256_si128(index), _mm256_extracti128_si256::<1>(index));
                 let pair = _mm_min_epi32(half, _mm_unpackhi_epi64(half, half));
                 let first = _mm_min_epi32(pair, _mm_shuffle_epi32::<1>(pair));
-                (_mm_cvtss_f32(largest), _mm_cvtsi128_si32(first))
+                (largest, _mm_cvtsi128_si32(first))
             }
         }
         #[inline(always)]

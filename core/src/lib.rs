@@ -1,8 +1,8 @@
 //! Exact incremental Delaunay refinement of digital elevation models.
 //!
 //! Modules, each using only those above it: `predicate`, `grid`, `mesh` (`check`,
-//! `constrain`), `scan`, `lanes`, `patch`, `facet`, `noise`, `smoother`, `scale`, `outline`,
-//! `queue`, `rule`, `refine`, `tiles`, `ladder`, `sight` (`moments`, `owned`), `fit` (`normal`), `flip`,
+//! `constrain`), `scan`, `lanes`, `patch`, `walk`, `facet`, `noise`, `smoother`, `scale`, `outline`,
+//! `queue`, `rule`, `rank`, `refine`, `tiles`, `ladder`, `sight` (`moments`, `owned`), `fit` (`normal`), `flip`,
 //! `pipeline`; `python` is the binding.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
@@ -37,6 +37,7 @@ pub mod progress;
 #[cfg(feature = "python")]
 mod python;
 pub mod queue;
+mod rank;
 pub mod refine;
 pub mod repair;
 pub mod rule;
@@ -54,3 +55,4 @@ pub mod tiles;
 pub mod tiling;
 mod top;
 pub mod triangle;
+pub mod walk;

@@ -23,8 +23,6 @@ pub struct Frame {
     reference: f64,
     /// Whether nothing is rounded: so it is where the raster is in single precision.
     is_exact: bool,
-    /// The largest |height| over the reference.
-    largest: f64,
 }
 
 pub struct Patch {
@@ -32,37 +30,8 @@ pub struct Patch {
     stride: usize,
     window: Window,
     frame: Frame,
-}
-
-impl Frame {
-    /// For the pixels in the window: over the lowest one, so that it does not matter how high
-    /// all of it lies; if that rounds, as they are or over a height that takes nothing from
-    /// single precision.
-    pub fn of<T: Height>(grid: &Grid<T>, window: Window) -> Self {
-        let (low, high) = window.rows(grid).fold((f64::INFINITY, f64::NEG_INFINITY), |all, row| {
-            let (least, most) = extent(row);
-            (all.0.min(least), all.1.max(most))
-        });
-        let middle = 0.5 * (low + high);
-        let is_far = middle.abs() > high - low;
-        let coarse = if is_far && middle.is_finite() { f64::from(middle as f32) } else { 0.0 };
-        let lowest = if low.is_finite() { low } else { 0.0 };
-        let exact = [lowest, coarse].into_iter().find(|&height| is_exact_over(grid, window, height));
-        let reference = exact.unwrap_or(lowest);
-        let largest = if low <= high { (low - reference).abs().max((high - reference).abs()) } else { 0.0 };
-        Frame { reference, is_exact: exact.is_some(), largest }
-    }
-}
-
-/// Whether single precision holds all heights over the reference.
-fn is_exact_over<T: Height>(grid: &Grid<T>, window: Window, reference: f64) -> bool {
-    window.rows(grid).all(|row| {
-        row.iter().fold(true, |is_exact, height| {
-            let shifted = height.to_f64() - reference;
-            let back = f64::from(shifted as f32) + reference;
-            is_exact & (back == height.to_f64() || shifted.is_nan())
-        })
-    })
+    /// The largest |height| over the reference.
+    largest: f32,
 }
 
 impl Window {
@@ -72,9 +41,77 @@ impl Window {
     }
 }
 
+/// Takes the reference off the heights; returns the largest |height| left, and whether nothing
+/// was rounded, of which nothing is said unless `CHECK`.
+#[inline]
+fn shift<T: Height, const CHECK: bool>(heights: &[T], reference: f64, into: &mut [f32]) -> (f32, bool) {
+    const WIDTH: usize = 16;
+    let (mut largest, mut rounded) = ([0.0f32; WIDTH], [false; WIDTH]);
+    let mut over = |height: T, lane: usize| {
+        let shifted = height.to_f64() - reference;
+        let z = shifted as f32;
+        largest[lane] = if z.abs() > largest[lane] { z.abs() } else { largest[lane] };
+        if CHECK {
+            let back = f64::from(z) + reference;
+            rounded[lane] |= back < height.to_f64() || back > height.to_f64();
+        }
+        z
+    };
+    let (heights, rest) = heights.as_chunks::<WIDTH>();
+    let (into, into_rest) = into.split_at_mut(WIDTH * heights.len());
+    for (into, heights) in into.as_chunks_mut::<WIDTH>().0.iter_mut().zip(heights) {
+        for lane in 0..WIDTH {
+            into[lane] = over(heights[lane], lane);
+        }
+    }
+    for (into, &height) in into_rest.iter_mut().zip(rest) {
+        *into = over(height, 0);
+    }
+    (largest.into_iter().fold(0.0, f32::max), !rounded.contains(&true))
+}
+
 impl Patch {
-    /// A copy of the pixels in the window. Errors: `out-of-memory`, `too-large`.
-    pub fn new<T: Height>(grid: &Grid<T>, window: Window, frame: Frame) -> Result<Self> {
+    /// A copy of the pixels in the window: over the lowest one, so that it does not matter how
+    /// high all of it lies; if that rounds, as they are or over a height that takes nothing from
+    /// single precision. Errors: `out-of-memory`, `too-large`.
+    pub fn new<T: Height>(grid: &Grid<T>, window: Window) -> Result<Self> {
+        let (low, high) = window.rows(grid).fold((f64::INFINITY, f64::NEG_INFINITY), |all, row| {
+            let (least, most) = extent(row);
+            (all.0.min(least), all.1.max(most))
+        });
+        let middle = 0.5 * (low + high);
+        let is_far = middle.abs() > high - low;
+        let coarse = if is_far && middle.is_finite() { f64::from(middle as f32) } else { 0.0 };
+        let lowest = if low.is_finite() { low } else { 0.0 };
+        let mut patch = Patch::empty(window, lowest)?;
+        patch.fill::<T, true>(grid);
+        if !patch.frame.is_exact {
+            patch.frame.reference = coarse;
+            patch.fill::<T, true>(grid);
+        }
+        if !patch.frame.is_exact {
+            patch.frame.reference = lowest;
+            patch.fill::<T, true>(grid);
+        }
+        Ok(patch)
+    }
+
+    /// The same of another image of the terrain, over the same height.
+    pub fn again<T: Height>(grid: &Grid<T>, window: Window, frame: Frame) -> Result<Self> {
+        let mut patch = Patch::empty(window, frame.reference)?;
+        patch.fill::<T, true>(grid);
+        Ok(patch)
+    }
+
+    /// The same as one before.
+    pub fn framed<T: Height>(grid: &Grid<T>, window: Window, frame: Frame) -> Result<Self> {
+        let mut patch = Patch::empty(window, frame.reference)?;
+        patch.fill::<T, false>(grid);
+        patch.frame.is_exact = frame.is_exact;
+        Ok(patch)
+    }
+
+    fn empty(window: Window, reference: f64) -> Result<Self> {
         let Window { cols, rows, .. } = window;
         // An odd number of cache lines: rows do not compete for the same places of the cache.
         const LINE: usize = 16;
@@ -85,13 +122,24 @@ impl Patch {
             return Err(Error::input("too-large", message));
         }
         memory::ensure(size_of::<f32>() * count)?;
-        let mut z = Vec::with_capacity(stride * rows + LANES);
-        for (row, heights) in window.rows(grid).enumerate() {
-            z.resize(row * stride, f32::NAN);
-            z.extend(heights.iter().map(|height| (height.to_f64() - frame.reference) as f32));
+        let z = vec![f32::NAN; stride * rows + LANES];
+        Ok(Patch { z, stride, window, frame: Frame { reference, is_exact: false }, largest: 0.0 })
+    }
+
+    /// Copies the heights over the reference; `is_exact` is looked into if `CHECK`.
+    fn fill<T: Height, const CHECK: bool>(&mut self, grid: &Grid<T>) {
+        let (mut largest, mut is_exact) = (0.0f32, true);
+        for (into, heights) in self.z.chunks_mut(self.stride).zip(self.window.rows(grid)) {
+            let shift = if CHECK && is_exact { shift::<T, true> } else { shift::<T, false> };
+            let row = shift(heights, self.frame.reference, into);
+            (largest, is_exact) = (largest.max(row.0), is_exact & row.1);
         }
-        z.resize(stride * rows + LANES, f32::NAN);
-        Ok(Patch { z, stride, window, frame })
+        self.largest = largest;
+        self.frame.is_exact = is_exact;
+    }
+
+    pub fn frame(&self) -> Frame {
+        self.frame
     }
 
     pub fn reference(&self) -> f64 {
@@ -103,7 +151,7 @@ impl Patch {
     }
 
     pub fn largest(&self) -> f64 {
-        self.frame.largest
+        f64::from(self.largest)
     }
 
     /// Height of a candidate.

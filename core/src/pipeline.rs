@@ -140,8 +140,7 @@ pub fn triangulate<T: Height>(
         Scales::Given(sigmas) => (sigmas.clone(), gaussian(&whole, sigmas[0], progress)?),
     };
     let most = count_limit(&surface.mesh, &whole, options, progress)?;
-    let even = if most == MAX_POINTS { MAX_POINTS } else { most.div_ceil(scales.len()) };
-    let per_scale = options.points_per_scale.unwrap_or(even);
+    let even = scales.len();
     if bounded && scales.last() != Some(&[0.0; 2]) {
         scales.push([0.0; 2]);
     }
@@ -152,6 +151,7 @@ pub fn triangulate<T: Height>(
     surface.insert_pixels(&options.constraints.pixels, &image);
     let is_too_few = surface.count() > most;
     let mut stop = Stop::Tolerance;
+    let rounding = ROUNDING * largest(data.z());
     let mut refinement = Refinement::new(surface, &tiling)?;
     for (i, &sigma) in scales.iter().enumerate() {
         if i > 0 {
@@ -166,11 +166,15 @@ pub fn triangulate<T: Height>(
         }
         progress.stage("refine")?;
         let end = if i + 1 == scales.len() { End::Level } else { End::Rough };
-        let limit = most.min(refinement.count().saturating_add(per_scale));
+        let limit = match options.points_per_scale {
+            Some(per_scale) => most.min(refinement.count().saturating_add(per_scale)),
+            None if most == MAX_POINTS => most,
+            None => (most as f64 * (i + 1).min(even) as f64 / even as f64).round() as usize,
+        };
         let mut rule = options.rule;
         if sigma != [0.0; 2] {
             // Smoothing rounds: without it nothing is known below this.
-            rule.tolerance = rule.tolerance.max(ROUNDING * largest(data.z()));
+            rule.tolerance = rule.tolerance.max(rounding);
         }
         if options.stop_at_noise {
             rule.tolerance = rule.tolerance.max(SIGNIFICANT * noise * noise_left(sigma));

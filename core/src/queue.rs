@@ -9,11 +9,33 @@ use std::collections::{BTreeMap, BinaryHeap};
 #[derive(Clone, Copy, Debug)]
 pub struct Candidate {
     pub priority: f64,
-    /// Number of the pixel, in raster order.
+    /// Number of the pixel to insert, in raster order, or of one near it.
     pub pixel: u32,
     pub triangle: u32,
     /// Version of the triangle the candidate was found for.
     pub version: u32,
+    pub pick: Pick,
+}
+
+/// How the pixel to insert is to be found. (A number: an enumeration would take twice the memory.)
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pick(f32);
+
+impl Pick {
+    /// It is known.
+    pub const KNOWN: Pick = Pick(-1.0);
+    /// By a new scan of the triangle: its priority may have changed.
+    pub const RESCAN: Pick = Pick(-2.0);
+
+    /// It is the one with this error, 0 or more.
+    pub fn by_error(error: f32) -> Self {
+        Pick(error)
+    }
+
+    /// The error by which to find it, if that is the way.
+    pub fn error(self) -> Option<f32> {
+        (self.0 >= 0.0).then_some(self.0)
+    }
 }
 
 impl Ord for Candidate {
@@ -79,7 +101,7 @@ impl Queue {
     }
 
     /// How many candidates wait at about which priority, by buckets. Stale ones count, too: see
-    /// [`Queue::compact`].
+    /// [`Queue::retain`].
     pub fn waiting(&self) -> Vec<(f64, usize)> {
         let open = self.open.iter().chain(&self.batch).map(|c| (c.priority, 1));
         let lists = self.waiting.iter().filter(|list| !list.is_empty());
@@ -87,13 +109,28 @@ impl Queue {
         pooled(open.chain(lists.map(|list| (mean(list), list.len()))))
     }
 
-    /// Drops stale entries and the room they took.
-    pub fn compact(&mut self, is_current: impl Fn(&Candidate) -> bool) {
-        self.open.retain(&is_current);
-        self.open.shrink_to_fit();
+    /// Has all triangles scanned again when it is their turn; gives `each` of them.
+    pub fn rescan(&mut self, mut each: impl FnMut(&Candidate)) {
+        let all = std::mem::replace(self, Queue::new(self.local));
+        for candidate in all.open.into_iter().chain(all.batch).chain(all.waiting.into_iter().flatten()) {
+            each(&candidate);
+            self.push(Candidate { pick: Pick::RESCAN, ..candidate });
+        }
+    }
+
+    /// Drops the other entries.
+    pub fn retain(&mut self, is_wanted: impl Fn(&Candidate) -> bool) {
+        self.open.retain(&is_wanted);
         for list in self.waiting.iter_mut().chain([&mut self.batch]) {
-            list.retain(&is_current);
-            list.shrink_to_fit();
+            list.retain(&is_wanted);
+        }
+    }
+
+    /// Gives back memory where less than half is in use.
+    pub fn shrink(&mut self) {
+        self.open.shrink_to(self.open.len() * 2);
+        for list in self.waiting.iter_mut().chain([&mut self.batch]) {
+            list.shrink_to(list.len() * 2);
         }
     }
 
@@ -175,7 +212,7 @@ mod tests {
             let mut queue = Queue::new(None);
             let mut expected = Vec::new();
             for (priority, pixel, triangle, version) in errors {
-                let candidate = Candidate { priority: f64::from(priority), pixel, triangle, version };
+                let candidate = Candidate { priority: f64::from(priority), pixel, triangle, version, pick: Pick::KNOWN };
                 queue.push(candidate);
                 if version == 1 { expected.push(candidate); }
             }
@@ -188,7 +225,7 @@ mod tests {
         fn a_local_queue_pops_each_once_and_falls_by_buckets(priorities in prop::collection::vec(0.0f64..100.0, 0..200)) {
             let mut queue = Queue::new(Some(10));
             for (i, &priority) in (0..).zip(&priorities) {
-                queue.push(Candidate { priority, pixel: i, triangle: i, version: 0 });
+                queue.push(Candidate { priority, pixel: i, triangle: i, version: 0, pick: Pick::KNOWN });
             }
             let popped: Vec<_> = std::iter::from_fn(|| queue.pop(usize::MAX, |_| true)).collect();
             for pair in popped.windows(2) {

@@ -1,19 +1,20 @@
 //! Greedy refinement: Algorithm 1 of the paper by any rule.
 
 use crate::error::Result;
-use crate::facet::{Errors, Facet};
+use crate::facet::Facet;
 use crate::grid::{Grid, Height};
 use crate::lanes::Vectors;
 use crate::memory;
 use crate::mesh::{triangle_of, Class};
-use crate::patch::{Frame, Patch, Window};
+use crate::patch::{Patch, Window};
 use crate::predicate::Point;
 use crate::progress::Progress;
-use crate::queue::{Candidate, Queue};
-use crate::rule::{quantile_index, Rule};
-use crate::select::{position, Selector};
+use crate::queue::{Candidate, Pick, Queue};
+use crate::rank::{is_large, Ranked, Ranker};
+use crate::rule::Rule;
 use crate::surface::Surface;
-use crate::triangle::Location;
+use crate::triangle::{Location, Triangle};
+use crate::walk::pixels_of;
 
 /// Why refinement ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,10 +34,6 @@ pub enum Stop {
 /// Patches up to this size are refined in the exact order of the priorities; larger
 /// ones no longer fit the cache and use a local queue.
 const EXACT_PIXELS: usize = 1 << 20;
-
-/// An error found in single precision says which pixel is the worst if it is this many
-/// times the rounding.
-const CLEAR: f64 = 16.0;
 
 /// What a vertex takes with its share of the mesh and the queue while they grow.
 const VERTEX_BYTES: usize = 200;
@@ -61,20 +58,10 @@ pub enum Reached {
 /// A surface being refined over changing images.
 pub struct Refiner {
     pub surface: Surface,
-    vectors: Vectors,
+    ranker: Ranker,
     queue: Queue,
-    /// Scratch of the scans.
-    errors: Errors,
-    selector: Selector,
     around: Vec<u32>,
     scaffolding: usize,
-}
-
-/// Where a triangle stands against the rule.
-struct Ranked {
-    priority: f64,
-    /// Of the pixel to insert, in the patch.
-    place: usize,
 }
 
 impl Refiner {
@@ -87,13 +74,27 @@ impl Refiner {
         let scaffolding = surface.count_scaffolding();
         Refiner {
             surface,
-            vectors,
+            ranker: Ranker::new(vectors),
             queue: Queue::new(None),
-            errors: Errors::default(),
-            selector: Selector::default(),
             around: Vec::new(),
             scaffolding,
         }
+    }
+
+    /// Lets samples stand for the pixels of large triangles, until it has to be
+    /// [`Refiner::exact`]: a tile comes to the same points but for a few of the first.
+    pub fn sampling(mut self) -> Self {
+        self.ranker.is_sampling = true;
+        self
+    }
+
+    /// Whether a sample may stand for a triangle now.
+    pub fn has_samples(&self) -> bool {
+        self.ranker.is_sampling && self.surface.mesh.triangles().iter().any(|t| self.is_large(t))
+    }
+
+    fn is_large(&self, triangle: &Triangle) -> bool {
+        is_large(pixels_of(triangle.v.map(|v| self.surface.mesh.point(v))))
     }
 
     /// Number of vertices that carry a height.
@@ -111,18 +112,17 @@ impl Refiner {
         progress: &mut Progress,
     ) -> Result<Stop> {
         let window = Window { col: 0, row: 0, cols: grid.cols(), rows: grid.rows() };
-        let mut patch = self.patch(grid, window, Frame::of(grid, window))?;
+        let mut patch = Patch::new(grid, window)?;
+        self.exclude_vertices(&mut patch);
         self.start(grid, &patch, rule, progress)?;
         let goal = Goal { points: max_points, level: f64::NEG_INFINITY };
         let reached = self.refine(grid, &mut patch, rule, goal, progress)?;
         Ok(if reached == Reached::Points { Stop::Points } else { Stop::Tolerance })
     }
 
-    /// The heights in the window without those that are vertices.
-    pub fn patch<T: Height>(&self, grid: &Grid<T>, window: Window, frame: Frame) -> Result<Patch> {
-        let mut patch = Patch::new(grid, window, frame)?;
+    /// No pixel that is a vertex is a candidate.
+    pub fn exclude_vertices(&self, patch: &mut Patch) {
         self.surface.mesh.points().iter().for_each(|&p| patch.exclude(p));
-        Ok(patch)
     }
 
     /// Queues all triangles, which lie in the patch.
@@ -140,6 +140,50 @@ impl Refiner {
         }
         self.queue = Queue::new(is_large.then_some(patch.stride() as u32));
         for t in 0..self.surface.mesh.triangles().len() as u32 {
+            let work = self.enqueue(grid, patch, rule, t);
+            progress.poll(work, || 0.0)?;
+        }
+        Ok(())
+    }
+
+    /// After [`Refiner::start`] on another image: has the triangles in the queue scanned again
+    /// when it is their turn, and queues the others.
+    pub fn start_again<T: Height>(
+        &mut self,
+        grid: &Grid<T>,
+        patch: &Patch,
+        rule: &Rule,
+        progress: &mut Progress,
+    ) -> Result<()> {
+        self.drop_stale();
+        let mut is_queued = vec![false; self.surface.mesh.triangles().len()];
+        self.queue.rescan(|c| is_queued[c.triangle as usize] = true);
+        for (t, _) in (0..).zip(is_queued).filter(|(_, is_queued)| !is_queued) {
+            let work = self.enqueue(grid, patch, rule, t);
+            progress.poll(work, || 0.0)?;
+        }
+        Ok(())
+    }
+
+    /// From now on no sample stands for a triangle; those it stood for are scanned in full.
+    pub fn exact<T: Height>(
+        &mut self,
+        grid: &Grid<T>,
+        patch: &Patch,
+        rule: &Rule,
+        progress: &mut Progress,
+    ) -> Result<()> {
+        let mesh = &self.surface.mesh;
+        let is_sampled: Vec<bool> = (0..)
+            .zip(mesh.triangles())
+            .map(|(t, triangle)| {
+                self.is_large(triangle) && self.ranker.sample(&self.facet(patch, t)).is_some()
+            })
+            .collect();
+        self.ranker.is_sampling = false;
+        self.queue
+            .retain(|c| mesh.triangle(c.triangle).version == c.version && !is_sampled[c.triangle as usize]);
+        for (t, _) in (0..).zip(is_sampled).filter(|(_, is_sampled)| *is_sampled) {
             let work = self.enqueue(grid, patch, rule, t);
             progress.poll(work, || 0.0)?;
         }
@@ -168,6 +212,11 @@ impl Refiner {
             let Some(best) = self.queue.pop_over(goal.level, goal.points - self.count(), is_current) else {
                 return Ok(Reached::Level);
             };
+            if best.pick == Pick::RESCAN {
+                let work = self.enqueue(grid, patch, rule, best.triangle);
+                progress.poll(work, || 0.0)?;
+                continue;
+            }
             let work = self.insert_candidate(grid, patch, rule, &best);
             let first = *first_priority.get_or_insert(best.priority);
             let (count, last) = (self.count(), rule.tolerance.max(goal.level));
@@ -187,10 +236,14 @@ impl Refiner {
 
     /// Gives back memory that is not in use.
     pub fn compact(&mut self) {
+        self.drop_stale();
+        self.queue.shrink();
+        self.ranker.compact();
+    }
+
+    fn drop_stale(&mut self) {
         let mesh = &self.surface.mesh;
-        self.queue.compact(|c| mesh.triangle(c.triangle).version == c.version);
-        self.errors = Errors::default();
-        self.selector = Selector::default();
+        self.queue.retain(|c| mesh.triangle(c.triangle).version == c.version);
     }
 
     /// Inserts the pixel and queues the triangles around it. Returns the work done in pixels.
@@ -201,10 +254,19 @@ impl Refiner {
         rule: &Rule,
         best: &Candidate,
     ) -> usize {
-        let pixel = patch.pixel(best.pixel as usize);
+        let found = match best.pick.error() {
+            Some(error) => self.ranker.find(patch, &self.facet(patch, best.triangle), error),
+            None => best.pixel as usize,
+        };
+        let pixel = patch.pixel(found);
         let place = self.surface.mesh.place_in(Point::pixel(pixel.0, pixel.1), best.triangle);
-        let z = patch.height(best.pixel as usize, grid);
+        let z = patch.height(found, grid);
         self.insert_at(grid, patch, rule, (pixel, z, place)).1
+    }
+
+    #[inline]
+    fn facet(&self, patch: &Patch, t: u32) -> Facet {
+        Facet::new(patch, self.surface.mesh.corners(t), self.surface.heights(t))
     }
 
     /// Inserts a pixel of height `z`, whose place has been found, and queues the triangles
@@ -236,112 +298,11 @@ impl Refiner {
             return 0;
         }
         let version = triangle.version;
-        let (p, z) = (self.surface.mesh.corners(t), self.surface.heights(t));
-        let facet = Facet::new(patch, p, z);
-        let (ranked, work) = if rule.is_max() {
-            (self.rank_by_worst(grid, patch, rule, &facet), 1)
-        } else {
-            (self.rank(grid, patch, rule, &facet), 4)
-        };
-        if let Some(Ranked { priority, place }) = ranked {
-            self.queue.push(Candidate { priority, pixel: place as u32, triangle: t, version });
+        let facet = self.facet(patch, t);
+        let ranked = self.ranker.rank(grid, patch, rule, &facet);
+        if let Some(Ranked { priority, place, pick }) = ranked {
+            self.queue.push(Candidate { priority, pixel: place as u32, triangle: t, version, pick });
         }
-        work * facet.pixels()
+        self.ranker.work(rule, &facet)
     }
-
-    /// Garland and Heckbert's rule: the worst pixel, nothing else.
-    #[inline]
-    fn rank_by_worst<T: Height>(
-        &mut self,
-        grid: &Grid<T>,
-        patch: &Patch,
-        rule: &Rule,
-        facet: &Facet,
-    ) -> Option<Ranked> {
-        let found = facet.worst(patch, self.vectors);
-        let (priority, place) = match verdict(patch, facet, found.error, rule.tolerance) {
-            Verdict::Within => return None,
-            Verdict::Beyond => (facet.error(patch, grid, found.place), found.place),
-            Verdict::Unclear => {
-                let found =
-                    facet.exact(patch, grid).into_iter().reduce(|a, b| if b.0 > a.0 { b } else { a })?;
-                if found.0 <= rule.tolerance {
-                    return None;
-                }
-                found
-            }
-        };
-        Some(Ranked { priority, place })
-    }
-
-    fn rank<T: Height>(
-        &mut self,
-        grid: &Grid<T>,
-        patch: &Patch,
-        rule: &Rule,
-        facet: &Facet,
-    ) -> Option<Ranked> {
-        let worst = facet.collect(patch, self.vectors, &mut self.errors);
-        // The maximum bounds every quantile; what fits exactly needs no point.
-        match verdict(patch, facet, worst.error, rule.tolerance) {
-            Verdict::Within => return None,
-            Verdict::Beyond => {}
-            Verdict::Unclear => return exactly(facet, patch, grid, rule),
-        }
-        let count = self.errors.values().len();
-        let mut known = (1.0, worst.error);
-        let mut quantile = |q: f64| {
-            if q != known.0 {
-                known = (q, self.selector.nth(self.errors.values(), quantile_index(count, q), self.vectors));
-            }
-            known.1
-        };
-        if rule.tolerance > 0.0 {
-            let bounded = quantile(rule.bound);
-            match verdict(patch, facet, bounded, rule.tolerance) {
-                Verdict::Within => return None,
-                Verdict::Beyond => {}
-                Verdict::Unclear => return exactly(facet, patch, grid, rule),
-            }
-        }
-        let at = quantile(rule.candidate);
-        let ranked = quantile(rule.priority);
-        let place = if rule.candidate == 1.0 {
-            worst.place
-        } else {
-            let first = position(self.errors.values(), at, self.vectors);
-            first.map_or(worst.place, |i| self.errors.places()[i] as usize)
-        };
-        let priority = rule.priority_of(f64::from(ranked), f64::from(worst.error), count as f64);
-        Some(Ranked { priority, place })
-    }
-}
-
-/// What an error in single precision says about the tolerance.
-enum Verdict {
-    Within,
-    Beyond,
-    Unclear,
-}
-
-#[inline]
-fn verdict(patch: &Patch, facet: &Facet, error: f32, tolerance: f64) -> Verdict {
-    if !facet.is_in_range(patch) {
-        return Verdict::Unclear;
-    }
-    let rounding = facet.rounding(error);
-    let error = f64::from(error);
-    if error + rounding <= tolerance || error < 0.0 || (error == 0.0 && patch.is_exact() && facet.is_exact())
-    {
-        Verdict::Within
-    } else if error > tolerance + rounding && error > CLEAR * rounding {
-        Verdict::Beyond
-    } else {
-        Verdict::Unclear
-    }
-}
-
-/// The rule on errors in double precision.
-fn exactly<T: Height>(facet: &Facet, patch: &Patch, grid: &Grid<T>, rule: &Rule) -> Option<Ranked> {
-    rule.rank(facet.exact(patch, grid)).map(|(priority, place)| Ranked { priority, place })
 }

@@ -22,8 +22,18 @@ pub struct Tile {
     /// Vertices that it had from the start or shares with others, ascending, and their
     /// numbers in the whole.
     shared: Vec<(u32, u32)>,
-    /// Of the image whose errors its queue has; `None` before the first.
-    pub frame: Option<Frame>,
+    pub queued: Queued,
+}
+
+/// The image whose errors a tile's queue has.
+#[derive(Clone, Copy)]
+pub enum Queued {
+    /// There was none yet.
+    Nothing,
+    /// One that was refined before, and how its heights were held.
+    Before(Frame),
+    /// The one that is being refined.
+    Now(Frame),
 }
 
 /// What belongs to no tile alone.
@@ -114,7 +124,12 @@ pub fn cut(surface: Surface, tiling: &Tiling) -> Result<(Shared, Vec<Tile>)> {
             is_fixed: old.iter().map(|&v| surface.is_fixed[v as usize]).collect(),
         };
         let shared = (0..).zip(old).collect();
-        tiles.push(Tile { number: tile, refiner: Refiner::new(part), shared, frame: None });
+        tiles.push(Tile {
+            number: tile,
+            refiner: Refiner::new(part).sampling(),
+            shared,
+            queued: Queued::Nothing,
+        });
     }
     let metric = mesh.metric();
     let (points, _) = surface.mesh.into_parts();

@@ -7,7 +7,7 @@ use common::strategies::{metric, raster};
 use common::{assert_sound, fingerprint, full, hills, plain, residuals, run, Random, AUTO, MAX, PAPER};
 use dem2tin_core::domain::Constraints;
 use dem2tin_core::grid::Grid;
-use dem2tin_core::pipeline::{triangulate, Options, Triangulation};
+use dem2tin_core::pipeline::{triangulate, Options, Scales, Triangulation};
 use dem2tin_core::predicate::Metric;
 use dem2tin_core::progress::Progress;
 use dem2tin_core::refine::Stop;
@@ -89,12 +89,54 @@ fn pure_noise_has_as_many_points_as_asked_for() {
 }
 
 #[test]
+fn a_few_points_come_to_an_end() {
+    let side = 60;
+    let z = hills(side, side, 7);
+    for rule in [MAX, PAPER, AUTO] {
+        for count in 1..40 {
+            let mut options = Options { tile: 20, ..plain(rule, count) };
+            options.scales = Scales::Given(vec![[1.0; 2], [0.5; 2]]);
+            run(&z, side, side, &options).unwrap();
+        }
+    }
+}
+
+#[test]
+fn no_sample_hides_an_island_in_a_lake() {
+    let (side, tile) = (256, 128);
+    let mut z = relief(side, 6);
+    // Two of the four tiles are a lake.
+    z[..side * tile].fill(0.0);
+    for (col, row) in [(31, 77), (32, 77), (31, 78), (200, 53)] {
+        z[row * side + col] = 20.0;
+    }
+    for rule in [MAX, AUTO] {
+        let done = run(&z, side, side, &Options { tile, ..plain(rule, 1500) }).unwrap();
+        let lake = &residuals(&done, &z, side)[..side * (tile - 10)];
+        assert!(lake.iter().all(|&e| e < 12.0), "{rule:?}");
+    }
+}
+
+#[test]
+fn scales_in_tiles_are_no_worse_than_in_one_piece() {
+    let side = 256;
+    let z = relief(side, 8);
+    let mut options = plain(PAPER, side * side / 20);
+    options.scales = Scales::Given(vec![[1.5; 2], [1.0; 2], [0.5; 2]]);
+    let whole = run(&z, side, side, &options).unwrap();
+    let tiled = run(&z, side, side, &Options { tile: 85, ..options }).unwrap();
+    assert_eq!(tiled.surface.mesh.points().len(), side * side / 20);
+    let ratio = rmse(&tiled, &z, side) / rmse(&whole, &z, side);
+    assert!(ratio < 1.03, "{ratio}");
+}
+
+#[test]
 fn a_tolerance_lowered_after_a_first_run_loses_no_triangle() {
     let side = 100;
     let z = hills(side, side, 4);
     for tile in [0, 25] {
         let mut options = Options { tile, ..plain(Rule { tolerance: 4.0, ..MAX }, usize::MAX) };
-        options.scales = dem2tin_core::pipeline::Scales::Given(vec![[3.0; 2], [0.0; 2]]);
+        options.scales = Scales::Given(vec![[3.0; 2], [0.0; 2]]);
         let coarse = run(&z, side, side, &options).unwrap();
         options.rule.tolerance = 0.5;
         let fine = run(&z, side, side, &options).unwrap();

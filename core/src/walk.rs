@@ -1,0 +1,204 @@
+//! The pixels of a triangle, eight at a time and in single precision.
+
+use crate::lanes::{Lanes, LANES};
+use crate::patch::Patch;
+use crate::predicate::{orient2d, Point, SUB_BITS, UNIT};
+use crate::scan::{rows_between, Plane, Side, Spans};
+
+/// In wider triangles it pays to find the rows that a strip of columns meets.
+const NARROW: i32 = 2 * LANES as i32;
+
+/// With sides in pixels up to this the edge functions fit 32 bits, those of the pixels of a
+/// strip beside the triangle included.
+const MAX_SIDE: i32 = 110;
+
+/// The same where the corners are pixels; larger triangles are walked by spans.
+const MAX_WHOLE_SIDE: i32 = 1 << 14;
+
+/// A sample is from at least so many rows and strips of a triangle's bounds.
+const FEWEST_ROWS: i32 = 16;
+const FEWEST_STRIPS: i32 = 4;
+
+/// A triangle whose pixels are walked.
+#[derive(Clone, Copy)]
+pub struct Walk {
+    /// Corners relative to the patch.
+    pub p: [Point; 3],
+    /// Relative to the reference of the patch.
+    pub plane: Plane,
+    /// One of so many strips of eight columns is walked,
+    strips: i32,
+    /// and in it one of so many rows.
+    rows: i32,
+}
+
+/// What is to be done on the way.
+pub trait Visitor<L: Lanes> {
+    /// Eight errors and their places; the error is -1 beside the triangle and NaN where there
+    /// is no candidate. Must be `#[inline(always)]`, like all that a kernel runs.
+    fn see(&mut self, error: L::F, place: L::I);
+}
+
+/// A triangle's area in pixels, which is about their number.
+#[inline(always)]
+pub fn pixels_of([a, b, c]: [Point; 3]) -> usize {
+    (orient2d(a, b, c) >> (2 * SUB_BITS + 1)) as usize
+}
+
+impl Walk {
+    #[inline(always)]
+    pub fn new(p: [Point; 3], plane: Plane) -> Self {
+        Walk { p, plane, strips: 1, rows: 1 }
+    }
+
+    /// Pixels that each of those walked stands for.
+    pub fn thinning(&self) -> usize {
+        (self.strips * self.rows) as usize
+    }
+
+    /// Over about so many pixels alone, evenly spread, if there are at least twice as many and
+    /// the triangle is not too large or narrow for that.
+    #[inline(always)]
+    pub fn sampled(&self, pixels: usize) -> Option<Self> {
+        let ratio = (pixels_of(self.p) / pixels) as i32;
+        let [cols, height] = self.size();
+        if ratio < 2 || !self.is_whole() || cols < NARROW || cols.max(height) >= MAX_WHOLE_SIDE {
+            return None;
+        }
+        // As far from row to row as from strip to strip, but with some of either.
+        let lanes = LANES as i32;
+        let most_rows = (height / FEWEST_ROWS).max(1);
+        let rows = ((lanes * ratio) as f32).sqrt() as i32;
+        let strips = (ratio / rows.clamp(1, most_rows)).clamp(1, (cols / (lanes * FEWEST_STRIPS)).max(1));
+        let rows = (ratio / strips).clamp(1, most_rows);
+        (strips * rows > 1).then_some(Walk { strips, rows, ..*self })
+    }
+
+    /// Whether all corners are pixels.
+    fn is_whole(&self) -> bool {
+        let [a, b, c] = self.p;
+        (a.x | a.y | b.x | b.y | c.x | c.y) & (UNIT - 1) == 0
+    }
+
+    /// First column and row of pixels, last column and row.
+    #[inline(always)]
+    fn bounds(&self) -> [i32; 4] {
+        let [a, b, c] = self.p;
+        let ceil = |v: i32| (v + UNIT - 1) >> SUB_BITS;
+        let (left, right) = (ceil(a.x.min(b.x).min(c.x)), a.x.max(b.x).max(c.x) >> SUB_BITS);
+        let (top, bottom) = (ceil(a.y.min(b.y).min(c.y)), a.y.max(b.y).max(c.y) >> SUB_BITS);
+        [left, top, right, bottom]
+    }
+
+    /// Columns and rows beyond the first.
+    fn size(&self) -> [i32; 2] {
+        let [left, top, right, bottom] = self.bounds();
+        [right - left, bottom - top]
+    }
+
+    /// How many pixels and others beside them are visited at most.
+    #[inline(always)]
+    pub fn room(&self) -> usize {
+        let [cols, rows] = self.size();
+        // A strip and a row more than there are on the average.
+        ((cols / (LANES as i32 * self.strips) + 2) * (rows / self.rows + 2)) as usize * LANES
+    }
+
+    /// Shows the pixels to the visitor.
+    #[inline(always)]
+    pub fn run<L: Lanes>(&self, patch: &Patch, visitor: &mut impl Visitor<L>) {
+        let [left, top, right, bottom] = self.bounds();
+        let (cols, rows) = (right - left, bottom - top);
+        if cols < NARROW && rows < MAX_SIDE {
+            let mut left = left;
+            while left <= right {
+                self.strip(patch, [left, top, bottom], self.p, (SUB_BITS, 1), visitor);
+                left += LANES as i32;
+            }
+            return;
+        }
+        // Corners on pixels need no finer lattice.
+        let (p, bits, most) = if self.is_whole() {
+            (self.p.map(|p| Point { x: p.x >> SUB_BITS, y: p.y >> SUB_BITS }), 0, MAX_WHOLE_SIDE)
+        } else {
+            (self.p, SUB_BITS, MAX_SIDE)
+        };
+        if cols < most && rows < most {
+            // Relative to where single precision is exact.
+            let [a, b, c] = self.p.map(|p| [p.x - (left << SUB_BITS), p.y - (top << SUB_BITS)]);
+            let sides = [Side::new(a, b), Side::new(b, c), Side::new(c, a)];
+            let mut col = 0;
+            while col <= cols {
+                let (first, last) = rows_between(&sides, col as f32, (col + LANES as i32 - 1) as f32);
+                let first = (first.max(0) + self.rows - 1) / self.rows * self.rows;
+                let [first, last] = [first, last.min(rows)].map(|row| top + row);
+                self.strip(patch, [left + col, first, last], p, (bits, self.rows), visitor);
+                col += LANES as i32 * self.strips;
+            }
+        } else {
+            self.spans(patch, visitor);
+        }
+    }
+
+    /// A strip of columns that fit one vector, every so many rows: inside is where no edge
+    /// function is negative (Pineda 1988). `p` are the corners with so many bits below the pixel.
+    #[inline(always)]
+    fn strip<L: Lanes>(
+        &self,
+        patch: &Patch,
+        [left, top, bottom]: [i32; 3],
+        p: [Point; 3],
+        (bits, every): (u32, i32),
+        visitor: &mut impl Visitor<L>,
+    ) {
+        let (x, y) = (left << bits, top << bits);
+        let edge = |k: usize| {
+            let (a, b) = (p[k], p[(k + 1) % 3]);
+            let (dx, dy) = (b.x - a.x, b.y - a.y);
+            (L::ramp(dx * (y - a.y) - dy * (x - a.x), -dy << bits), L::splat_i((dx << bits) * every))
+        };
+        let [(mut e0, down0), (mut e1, down1), (mut e2, down2)] = [edge(0), edge(1), edge(2)];
+        let plane = &self.plane;
+        let start = L::splat(plane.at(plane.on_row(top as usize), left as usize) as f32);
+        let across = L::mul(L::splat(plane.per_col as f32), L::to_f(L::ramp(0, 1)));
+        let start = L::add(start, across);
+        let (slope, step) = (L::splat(plane.per_row as f32), L::splat(every as f32));
+        let mut down = L::splat(0.0);
+        let stride = patch.stride() * every as usize;
+        let at = top as usize * patch.stride() + left as usize;
+        let mut place = L::ramp(at as i32, 1);
+        let further = L::splat_i(stride as i32);
+        let end = bottom as usize * patch.stride() + left as usize + LANES;
+        for row in patch.z().get(at..end).unwrap_or_default().chunks(stride) {
+            let Some(heights) = row.first_chunk() else { return };
+            let level = L::add(start, L::mul(slope, down));
+            let error = L::abs(L::sub(L::load(heights), level));
+            let outside = L::or_i(L::or_i(e0, e1), e2);
+            visitor.see(L::where_negative(outside, L::splat(-1.0), error), place);
+            (e0, e1, e2) = (L::add_i(e0, down0), L::add_i(e1, down1), L::add_i(e2, down2));
+            down = L::add(down, step);
+            place = L::add_i(place, further);
+        }
+    }
+
+    #[inline(always)]
+    fn spans<L: Lanes>(&self, patch: &Patch, visitor: &mut impl Visitor<L>) {
+        let plane = &self.plane;
+        let slope = L::splat(plane.per_col as f32);
+        let (ramp, lanes) = (L::to_f(L::ramp(0, 1)), L::splat(LANES as f32));
+        for (row, first, end) in Spans::new(self.p) {
+            let start = L::splat(plane.at(plane.on_row(row), first) as f32);
+            let mut across = ramp;
+            let mut at = row * patch.stride() + first;
+            let last = row * patch.stride() + end;
+            while at < last {
+                let Some(heights) = patch.z().get(at..).and_then(|z| z.first_chunk()) else { return };
+                let error = L::abs(L::sub(L::sub(L::load(heights), start), L::mul(slope, across)));
+                let inside = L::ramp(at as i32 - last as i32, 1);
+                visitor.see(L::where_negative(inside, error, L::splat(-1.0)), L::ramp(at as i32, 1));
+                across = L::add(across, lanes);
+                at += LANES;
+            }
+        }
+    }
+}
