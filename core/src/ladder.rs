@@ -7,9 +7,9 @@
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
+use crate::outlook::{share_out, Outlook, Waiting};
 use crate::patch::Patch;
 use crate::progress::Progress;
-use crate::queue::pooled;
 use crate::refine::{Goal, Refiner, Stop};
 use crate::rule::Rule;
 use crate::seams::{SeamPoint, Seams};
@@ -123,9 +123,6 @@ struct Image<'a, T> {
     rule: &'a Rule,
 }
 
-/// How many candidates of a tile wait at about which priority.
-type Waiting = Vec<(f64, usize)>;
-
 /// How far the tiles go at a time.
 #[derive(Clone, Copy)]
 struct Rung<'a> {
@@ -175,7 +172,7 @@ impl Ladder<'_> {
                 break Stop::Points;
             }
             let is_exact = end == End::Level && before > CLOSE * most;
-            if is_exact && self.tiles.iter().any(|tile| tile.refiner.has_samples()) {
+            if is_exact && self.has_samples() {
                 self.descend(image, Rung { is_exact, ..queueing }, no_points(&none), progress)?;
             }
             let waiting: Vec<Waiting> = self.tiles.iter().map(|tile| tile.refiner.waiting()).collect();
@@ -214,6 +211,12 @@ impl Ladder<'_> {
         Ok(stop)
     }
 
+    /// Whether a sample may stand for a triangle of some tile.
+    fn has_samples(&mut self) -> bool {
+        let each = self.tiles.iter_mut().map(|tile| tile.refiner.has_samples());
+        each.fold(false, |any, one| any | one)
+    }
+
     /// One rung: new seam vertices, and in each tile what is over the level, but no more
     /// vertices than its room.
     fn descend<T: Height>(
@@ -226,13 +229,13 @@ impl Ladder<'_> {
         let (Image { grid, rule }, tiling) = (image, self.tiling);
         let tiles = self.tiles.iter_mut().zip(points).zip(rooms);
         let is_busy = |((tile, points), room): &((&mut Tile, Vec<_>), &usize)| {
-            let is_ready = matches!(tile.queued, Queued::Now(_)) && !(is_exact && tile.refiner.has_samples());
+            let is_ready = matches!(tile.queued, Queued::Now(_)) && !(is_exact && tile.refiner.is_sampling());
             **room > 0 || !points.is_empty() || !is_ready
         };
         let busy: Vec<_> = tiles.filter(is_busy).collect();
         spread(progress, busy.into_iter(), |((tile, points), &room), progress| {
             let mut patch = tile.prepare(image, tiling, &points, progress)?;
-            if is_exact && tile.refiner.has_samples() {
+            if is_exact && tile.refiner.is_sampling() {
                 tile.refiner.exact(grid, &patch, rule, progress)?;
             }
             let goal = Goal { points: tile.refiner.count().saturating_add(room), level };
@@ -263,79 +266,6 @@ impl Ladder<'_> {
         }
         points
     }
-}
-
-/// Points that are forecast for one triangle at most: what a few cliffs need says nothing of others.
-const FARTHEST: f64 = 64.0;
-
-/// Nearly every triangle over the level takes a point.
-const LEAST_SHARE: f64 = 0.5;
-
-/// Levels are told apart by less than a thousandth, over 128 octaves.
-const STEPS_AN_OCTAVE: f64 = 1024.0;
-const MOST_STEPS: u32 = 128 << 10;
-
-/// How many points a triangle is going to need until its priority is down at a level:
-/// share (priority / level)^steepness.
-struct Outlook {
-    steepness: f64,
-    share: f64,
-}
-
-impl Outlook {
-    fn new(rule: &Rule) -> Self {
-        // Errors fall with this power of the area; the weight adds its own.
-        const ROUGHNESS: f64 = 0.6;
-        Outlook { steepness: (1.0 / (ROUGHNESS + rule.weight)).clamp(0.5, 4.0), share: 1.0 / rule.candidate }
-    }
-
-    /// Points for each tile.
-    fn needs(&self, waiting: &[Waiting], level: f64) -> Vec<f64> {
-        let needs = |&(priority, count): &(f64, usize)| {
-            let is_over = priority > level;
-            if is_over {
-                count as f64 * (priority / level).powf(self.steepness).min(FARTHEST)
-            } else {
-                0.0
-            }
-        };
-        waiting.iter().map(|tile| self.share * tile.iter().map(needs).sum::<f64>()).collect()
-    }
-
-    /// The level that takes so many points, under the highest priority.
-    fn level_for(&self, wanted: f64, waiting: &[Waiting]) -> f64 {
-        let all = [pooled(waiting.iter().flatten().copied())];
-        let top = all[0].iter().fold(0.0, |top: f64, &(priority, _)| top.max(priority));
-        // By steps that go with the heights: in other units the mesh is the same.
-        let level = |step: u32| top * (-f64::from(step) / STEPS_AN_OCTAVE).exp2();
-        let (mut first, mut last) = (1, MOST_STEPS);
-        while first < last {
-            let middle = first.midpoint(last);
-            if self.needs(&all, level(middle))[0] > wanted {
-                last = middle;
-            } else {
-                first = middle + 1;
-            }
-        }
-        level(first)
-    }
-
-    /// Takes in how many times the points expected it took.
-    fn learn(&mut self, ratio: f64) {
-        self.share = (self.share * ratio.clamp(0.25, 4.0)).max(LEAST_SHARE);
-    }
-}
-
-/// Parts of `all` in the proportion of the needs, by the largest remainder.
-fn share_out(all: usize, needs: &[f64]) -> Vec<usize> {
-    let scale = all as f64 / needs.iter().sum::<f64>();
-    let exact: Vec<f64> = needs.iter().map(|need| need * scale).collect();
-    let mut shares: Vec<usize> = exact.iter().map(|&share| share as usize).collect();
-    let rest = all.saturating_sub(shares.iter().sum());
-    let mut order: Vec<usize> = (0..needs.len()).collect();
-    order.sort_by(|&a, &b| exact[b].fract().total_cmp(&exact[a].fract()).then(a.cmp(&b)));
-    order.iter().take(rest).for_each(|&i| shares[i] += 1);
-    shares
 }
 
 impl Tile {
@@ -373,18 +303,5 @@ impl Tile {
         }
         self.queued = Queued::Now(patch.frame());
         Ok(patch)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn shares_add_up() {
-        assert_eq!(share_out(7, &[1.0, 2.0, 0.0, 4.0]), [1, 2, 0, 4]);
-        assert_eq!(share_out(8, &[1.0, 1.0, 1.0]), [3, 3, 2]);
-        assert_eq!(share_out(0, &[1.0]), [0]);
-        assert!(share_out(4, &[]).is_empty());
     }
 }

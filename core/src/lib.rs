@@ -2,7 +2,7 @@
 //!
 //! Modules, each using only those above it: `predicate`, `grid`, `mesh` (`check`,
 //! `constrain`), `scan`, `lanes`, `patch`, `walk`, `facet`, `noise`, `smoother`, `scale`, `outline`,
-//! `queue`, `rule`, `rank`, `refine`, `tiles`, `ladder`, `sight` (`moments`, `owned`), `fit` (`normal`), `flip`,
+//! `queue`, `rule`, `rank`, `refine`, `tiles`, `outlook`, `ladder`, `sight` (`moments`, `owned`), `fit` (`normal`), `flip`,
 //! `pipeline`; `python` is the binding.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
@@ -29,6 +29,7 @@ pub mod noise;
 pub mod normal;
 pub mod order;
 pub mod outline;
+mod outlook;
 pub mod owned;
 pub mod patch;
 pub mod pipeline;

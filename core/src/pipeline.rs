@@ -152,6 +152,7 @@ pub fn triangulate<T: Height>(
     let is_too_few = surface.count() > most;
     let mut stop = Stop::Tolerance;
     let rounding = ROUNDING * largest(data.z());
+    let first = surface.count();
     let mut refinement = Refinement::new(surface, &tiling)?;
     for (i, &sigma) in scales.iter().enumerate() {
         if i > 0 {
@@ -167,10 +168,11 @@ pub fn triangulate<T: Height>(
         progress.stage("refine")?;
         let end = if i + 1 == scales.len() { End::Level } else { End::Rough };
         let limit = match options.points_per_scale {
-            Some(per_scale) => most.min(refinement.count().saturating_add(per_scale)),
-            None if most == MAX_POINTS => most,
-            None => (most as f64 * (i + 1).min(even) as f64 / even as f64).round() as usize,
+            Some(per_scale) => refinement.count().saturating_add(per_scale),
+            None if i + 1 >= even => most,
+            None => first.saturating_add(most.div_ceil(even) * (i + 1)),
         };
+        let limit = most.min(limit);
         let mut rule = options.rule;
         if sigma != [0.0; 2] {
             // Smoothing rounds: without it nothing is known below this.

@@ -126,12 +126,10 @@ impl Queue {
         }
     }
 
-    /// Gives back memory where less than half is in use.
+    /// Gives back memory that is not in use.
     pub fn shrink(&mut self) {
-        self.open.shrink_to(self.open.len() * 2);
-        for list in self.waiting.iter_mut().chain([&mut self.batch]) {
-            list.shrink_to(list.len() * 2);
-        }
+        self.open.shrink_to_fit();
+        self.waiting.iter_mut().chain([&mut self.batch]).for_each(Vec::shrink_to_fit);
     }
 
     /// `candidate.priority` must be 0 or more.

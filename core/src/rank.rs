@@ -13,7 +13,7 @@ use crate::select::Selector;
 const CLEAR: f64 = 16.0;
 
 /// About so many pixels stand for those of a large triangle.
-const SAMPLE: usize = 512;
+const SAMPLE: usize = 128;
 
 /// A triangle beyond the tolerance.
 pub struct Ranked {

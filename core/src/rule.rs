@@ -64,5 +64,5 @@ const WORST_SHARE: f64 = 0.3;
 
 /// Index of the quantile `q` among `n` sorted errors; 0.5 gives the lower median.
 pub fn quantile_index(n: usize, q: f64) -> usize {
-    ((n - 1) as f64 * q).floor() as usize
+    ((n - 1) as f64 * q) as usize
 }

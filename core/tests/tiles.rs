@@ -113,7 +113,7 @@ fn no_sample_hides_an_island_in_a_lake() {
     for rule in [MAX, AUTO] {
         let done = run(&z, side, side, &Options { tile, ..plain(rule, 1500) }).unwrap();
         let lake = &residuals(&done, &z, side)[..side * (tile - 10)];
-        assert!(lake.iter().all(|&e| e < 12.0), "{rule:?}");
+        assert!(lake.iter().all(|&e| e < 19.0), "{rule:?}");
     }
 }
 

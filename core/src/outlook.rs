@@ -1,0 +1,93 @@
+//! How many points the tiles are going to take, told from what waits in their queues.
+
+use crate::queue::pooled;
+use crate::rule::Rule;
+
+/// How many candidates of a tile wait at about which priority.
+pub type Waiting = Vec<(f64, usize)>;
+
+/// Points that are forecast for one triangle at most: what a few cliffs need says nothing of others.
+const FARTHEST: f64 = 64.0;
+
+/// Nearly every triangle over the level takes a point.
+const LEAST_SHARE: f64 = 0.5;
+
+/// Levels are told apart by less than a thousandth, over 128 octaves.
+const STEPS_AN_OCTAVE: f64 = 1024.0;
+const MOST_STEPS: u32 = 128 << 10;
+
+/// How many points a triangle is going to need until its priority is down at a level:
+/// share (priority / level)^steepness.
+pub struct Outlook {
+    steepness: f64,
+    share: f64,
+}
+
+impl Outlook {
+    pub fn new(rule: &Rule) -> Self {
+        // Errors fall with this power of the area; the weight adds its own.
+        const ROUGHNESS: f64 = 0.6;
+        Outlook { steepness: (1.0 / (ROUGHNESS + rule.weight)).clamp(0.5, 4.0), share: 1.0 / rule.candidate }
+    }
+
+    /// Points for each tile.
+    pub fn needs(&self, waiting: &[Waiting], level: f64) -> Vec<f64> {
+        let needs = |&(priority, count): &(f64, usize)| {
+            let is_over = priority > level;
+            if is_over {
+                count as f64 * (priority / level).powf(self.steepness).min(FARTHEST)
+            } else {
+                0.0
+            }
+        };
+        waiting.iter().map(|tile| self.share * tile.iter().map(needs).sum::<f64>()).collect()
+    }
+
+    /// The level that takes so many points, under the highest priority.
+    pub fn level_for(&self, wanted: f64, waiting: &[Waiting]) -> f64 {
+        let all = [pooled(waiting.iter().flatten().copied())];
+        let top = all[0].iter().fold(0.0, |top: f64, &(priority, _)| top.max(priority));
+        // By steps that go with the heights: in other units the mesh is the same.
+        let level = |step: u32| top * (-f64::from(step) / STEPS_AN_OCTAVE).exp2();
+        let (mut first, mut last) = (1, MOST_STEPS);
+        while first < last {
+            let middle = first.midpoint(last);
+            if self.needs(&all, level(middle))[0] > wanted {
+                last = middle;
+            } else {
+                first = middle + 1;
+            }
+        }
+        level(first)
+    }
+
+    /// Takes in how many times the points expected it took.
+    pub fn learn(&mut self, ratio: f64) {
+        self.share = (self.share * ratio.clamp(0.25, 4.0)).max(LEAST_SHARE);
+    }
+}
+
+/// Parts of `all` in the proportion of the needs, by the largest remainder.
+pub fn share_out(all: usize, needs: &[f64]) -> Vec<usize> {
+    let scale = all as f64 / needs.iter().sum::<f64>();
+    let exact: Vec<f64> = needs.iter().map(|need| need * scale).collect();
+    let mut shares: Vec<usize> = exact.iter().map(|&share| share as usize).collect();
+    let rest = all.saturating_sub(shares.iter().sum());
+    let mut order: Vec<usize> = (0..needs.len()).collect();
+    order.sort_by(|&a, &b| exact[b].fract().total_cmp(&exact[a].fract()).then(a.cmp(&b)));
+    order.iter().take(rest).for_each(|&i| shares[i] += 1);
+    shares
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_add_up() {
+        assert_eq!(share_out(7, &[1.0, 2.0, 0.0, 4.0]), [1, 2, 0, 4]);
+        assert_eq!(share_out(8, &[1.0, 1.0, 1.0]), [3, 3, 2]);
+        assert_eq!(share_out(0, &[1.0]), [0]);
+        assert!(share_out(4, &[]).is_empty());
+    }
+}
