@@ -40,11 +40,8 @@ pub trait Lanes: Copy {
     /// Writes the lanes of the mask, closed up, to the front of `into` (what follows
     /// them there is undefined) and says how many they are.
     fn compress(mask: Self::F, values: Self::F, into: &mut [f32; LANES]) -> usize;
-    fn compress_i(mask: Self::F, values: Self::I, into: &mut [i32; LANES]) -> usize;
     /// Lanes of the mask.
     fn count(mask: Self::F) -> usize;
-    /// The first lane of the mask, `LANES` or more if there is none.
-    fn first_in(mask: Self::F) -> usize;
     /// One more in the lanes of the mask.
     fn tally(counts: Self::I, mask: Self::F) -> Self::I;
 }
@@ -198,21 +195,8 @@ impl Lanes for Plain {
         count
     }
     #[inline(always)]
-    fn compress_i(mask: Self::F, values: Self::I, into: &mut [i32; LANES]) -> usize {
-        let mut count = 0;
-        for i in 0..LANES {
-            into[count.min(LANES - 1)] = values[i];
-            count += usize::from(is_set(mask[i]));
-        }
-        count
-    }
-    #[inline(always)]
     fn count(mask: Self::F) -> usize {
         mask.iter().filter(|&&m| is_set(m)).count()
-    }
-    #[inline(always)]
-    fn first_in(mask: Self::F) -> usize {
-        mask.iter().position(|&m| is_set(m)).unwrap_or(LANES)
     }
     #[inline(always)]
     fn tally(counts: Self::I, mask: Self::F) -> Self::I {
@@ -367,21 +351,8 @@ mod avx2 {
             }
         }
         #[inline(always)]
-        fn compress_i(mask: Self::F, values: Self::I, into: &mut [i32; LANES]) -> usize {
-            unsafe {
-                let bits = _mm256_movemask_ps(mask);
-                let front = _mm256_permutevar8x32_epi32(values, to_front(bits));
-                _mm256_storeu_si256(into.as_mut_ptr().cast(), front);
-                bits.count_ones() as usize
-            }
-        }
-        #[inline(always)]
         fn count(mask: Self::F) -> usize {
             unsafe { _mm256_movemask_ps(mask).count_ones() as usize }
-        }
-        #[inline(always)]
-        fn first_in(mask: Self::F) -> usize {
-            unsafe { _mm256_movemask_ps(mask).trailing_zeros() as usize }
         }
         #[inline(always)]
         fn tally(counts: Self::I, mask: Self::F) -> Self::I {

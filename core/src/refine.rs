@@ -144,11 +144,8 @@ impl Refiner {
             memory::ensure(32 * patch.z().len())?;
         }
         self.queue = Queue::new(is_large.then_some(patch.stride() as u32));
-        for t in 0..self.surface.mesh.triangles().len() as u32 {
-            let work = self.enqueue(grid, patch, rule, t);
-            progress.poll(work, || 0.0)?;
-        }
-        Ok(())
+        let all = vec![true; self.surface.mesh.triangles().len()];
+        self.enqueue_those(&all, grid, patch, rule, progress)
     }
 
     /// After [`Refiner::start`] on another image: has the triangles in the queue scanned again
@@ -161,13 +158,9 @@ impl Refiner {
         progress: &mut Progress,
     ) -> Result<()> {
         self.drop_stale();
-        let mut is_queued = vec![false; self.surface.mesh.triangles().len()];
-        self.queue.rescan(|c| is_queued[c.triangle as usize] = true);
-        for (t, _) in (0..).zip(is_queued).filter(|(_, is_queued)| !is_queued) {
-            let work = self.enqueue(grid, patch, rule, t);
-            progress.poll(work, || 0.0)?;
-        }
-        Ok(())
+        let mut is_new = vec![true; self.surface.mesh.triangles().len()];
+        self.queue.rescan(|c| is_new[c.triangle as usize] = false);
+        self.enqueue_those(&is_new, grid, patch, rule, progress)
     }
 
     /// From now on no sample stands for a triangle; those it stood for are scanned in full.
@@ -188,11 +181,7 @@ impl Refiner {
         self.ranker.is_sampling = false;
         self.queue
             .retain(|c| mesh.triangle(c.triangle).version == c.version && !is_sampled[c.triangle as usize]);
-        for (t, _) in (0..).zip(is_sampled).filter(|(_, is_sampled)| *is_sampled) {
-            let work = self.enqueue(grid, patch, rule, t);
-            progress.poll(work, || 0.0)?;
-        }
-        Ok(())
+        self.enqueue_those(&is_sampled, grid, patch, rule, progress)
     }
 
     /// Inserts what is queued, most urgent first, up to the goal.
@@ -292,6 +281,22 @@ impl Refiner {
         let work: usize = around.iter().map(|&t| self.enqueue(grid, patch, rule, t)).sum();
         self.around = around;
         (v, 64 + work)
+    }
+
+    /// Scans and queues the triangles that are marked.
+    fn enqueue_those<T: Height>(
+        &mut self,
+        marked: &[bool],
+        grid: &Grid<T>,
+        patch: &Patch,
+        rule: &Rule,
+        progress: &mut Progress,
+    ) -> Result<()> {
+        for (t, _) in (0..).zip(marked).filter(|(_, is_marked)| **is_marked) {
+            let work = self.enqueue(grid, patch, rule, t);
+            progress.poll(work, || 0.0)?;
+        }
+        Ok(())
     }
 
     /// Scans triangle `t` and queues its candidate unless it is within the

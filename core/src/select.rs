@@ -17,36 +17,6 @@ impl Selector {
     }
 }
 
-/// Where in the list the value stands first.
-#[inline]
-pub fn position(values: &[f32], value: f32, vectors: Vectors) -> Option<usize> {
-    vectors.run(Position { values, value })
-}
-
-struct Position<'a> {
-    values: &'a [f32],
-    value: f32,
-}
-
-impl Kernel for Position<'_> {
-    type Output = Option<usize>;
-
-    #[inline(always)]
-    fn run<L: Lanes>(self) -> Option<usize> {
-        let Position { values, value } = self;
-        let wanted = L::splat(value);
-        let (chunks, end) = values.as_chunks();
-        for (i, chunk) in chunks.iter().enumerate() {
-            let chunk = L::load(chunk);
-            let lane = L::first_in(L::neither(L::greater(chunk, wanted), L::greater(wanted, chunk)));
-            if lane < LANES {
-                return Some(i * LANES + lane);
-            }
-        }
-        end.iter().position(|&at| at == value).map(|i| chunks.len() * LANES + i)
-    }
-}
-
 /// Vectors few enough for comparing all their values with each other.
 const FEW: usize = 4;
 
@@ -219,7 +189,6 @@ mod tests {
                 for vectors in [Vectors::Plain, Vectors::best()] {
                     let found = selector.nth(&values, k, vectors);
                     prop_assert_eq!(found.to_bits(), sorted[k].to_bits());
-                    prop_assert_eq!(position(&values, found, vectors), values.iter().position(|&value| value == found));
                 }
             }
         }
