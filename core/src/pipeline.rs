@@ -140,6 +140,7 @@ pub fn triangulate<T: Height>(
         Scales::Given(sigmas) => (sigmas.clone(), gaussian(&whole, sigmas[0], progress)?),
     };
     let most = count_limit(&surface.mesh, &whole, options, progress)?;
+    // Without the one that a tolerance adds.
     let even = scales.len();
     if bounded && scales.last() != Some(&[0.0; 2]) {
         scales.push([0.0; 2]);

@@ -41,9 +41,9 @@ pub struct Ranker {
     selector: Selector,
 }
 
-/// Whether a triangle of so many pixels may be too large to be scanned in full.
+/// Whether a sample may stand for a triangle of so many pixels.
 pub fn is_large(pixels: usize) -> bool {
-    pixels > SAMPLE
+    pixels >= 2 * SAMPLE
 }
 
 impl Ranker {
