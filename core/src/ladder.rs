@@ -163,6 +163,7 @@ impl Ladder<'_> {
         }
         let shares = if image.rule.is_max() { &NEARLY[..] } else { &NEARLY[..FEWER] };
         let mut outlook = self.outlook.take().unwrap_or_else(|| Outlook::new(image.rule));
+        let mut last: Option<(usize, Vec<Waiting>)> = None;
         let stop = loop {
             let count = self.count();
             let repair = if image.rule.is_max() { REPAIR * self.seams.count() as f64 } else { 0.0 };
@@ -191,7 +192,9 @@ impl Ladder<'_> {
             };
             let wanted = target.map_or(left, |target| target.min(GROWTH * before) - before);
             progress.part([before / most, ((before + wanted) / most).min(1.0)]);
-            let level = outlook.level_for(wanted, &waiting);
+            // Under infinite priorities no level lets anything through.
+            let is_stuck = last.is_some_and(|(before, waited)| before == count && waited == waiting);
+            let level = if is_stuck { f64::NEG_INFINITY } else { outlook.level_for(wanted, &waiting) };
             let needs = outlook.needs(&waiting, level);
             let points = self.refine_seams(image, level, (left / 8.0) as usize);
             let left = max_points.saturating_sub(self.count());
@@ -206,6 +209,7 @@ impl Ladder<'_> {
             let rung = Rung { level, rooms: &share_out(room, &needs), is_exact };
             self.descend(image, rung, points, progress)?;
             outlook.learn((self.count() - count) as f64 / wanted);
+            last = Some((count, waiting));
         };
         self.outlook = Some(outlook);
         Ok(stop)

@@ -9,8 +9,10 @@ pub type Waiting = Vec<(f64, usize)>;
 /// Points that are forecast for one triangle at most: what a few cliffs need says nothing of others.
 const FARTHEST: f64 = 64.0;
 
-/// Nearly every triangle over the level takes a point.
+/// Nearly every triangle over the level takes a point; and what forecasts are multiplied by stays
+/// finite, whatever the rule.
 const LEAST_SHARE: f64 = 0.5;
+const LARGEST_SHARE: f64 = 64.0;
 
 /// Levels are told apart by less than a thousandth, over 128 octaves.
 const STEPS_AN_OCTAVE: f64 = 1024.0;
@@ -27,15 +29,19 @@ impl Outlook {
     pub fn new(rule: &Rule) -> Self {
         // Errors fall with this power of the area; the weight adds its own.
         const ROUGHNESS: f64 = 0.6;
-        Outlook { steepness: (1.0 / (ROUGHNESS + rule.weight)).clamp(0.5, 4.0), share: 1.0 / rule.candidate }
+        Outlook {
+            steepness: (1.0 / (ROUGHNESS + rule.weight)).clamp(0.5, 4.0),
+            share: (1.0 / rule.candidate).min(LARGEST_SHARE),
+        }
     }
 
-    /// Points for each tile.
+    /// Points for each tile; without a level (negative infinity) all that waits counts alike.
     pub fn needs(&self, waiting: &[Waiting], level: f64) -> Vec<f64> {
         let needs = |&(priority, count): &(f64, usize)| {
             let is_over = priority > level;
             if is_over {
-                count as f64 * (priority / level).powf(self.steepness).min(FARTHEST)
+                let ratio = if level > 0.0 { priority / level } else { f64::INFINITY };
+                count as f64 * ratio.powf(self.steepness).min(FARTHEST)
             } else {
                 0.0
             }
@@ -63,7 +69,7 @@ impl Outlook {
 
     /// Takes in how many times the points expected it took.
     pub fn learn(&mut self, ratio: f64) {
-        self.share = (self.share * ratio.clamp(0.25, 4.0)).max(LEAST_SHARE);
+        self.share = (self.share * ratio.clamp(0.25, 4.0)).clamp(LEAST_SHARE, LARGEST_SHARE);
     }
 }
 

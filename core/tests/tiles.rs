@@ -102,6 +102,27 @@ fn a_few_points_come_to_an_end() {
 }
 
 #[test]
+fn rules_beyond_all_reason_come_to_an_end() {
+    let side = 40;
+    let z: Vec<f64> = hills(side, side, 7).iter().map(|z| 1e97 * z).collect();
+    let tiny = 1e-300;
+    for rule in [
+        Rule { candidate: tiny, ..MAX },
+        Rule { priority: tiny, candidate: tiny, bound: tiny, ..PAPER },
+        Rule { weight: 1e3, ..MAX },
+        Rule { weight: 1e3, ..PAPER },
+        Rule { weight: -1e3, ..AUTO },
+    ] {
+        for count in [30, 200, 900] {
+            let options = Options { tile: 13, ..plain(rule, count) };
+            run(&z, side, side, &options).unwrap();
+            let scales = Scales::Given(vec![[1.0; 2], [0.0; 2]]);
+            run(&z, side, side, &Options { scales, ..options }).unwrap();
+        }
+    }
+}
+
+#[test]
 fn no_sample_hides_an_island_in_a_lake() {
     let (side, tile) = (256, 128);
     let mut z = relief(side, 6);
