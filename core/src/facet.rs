@@ -118,7 +118,7 @@ impl Facet {
         let mut errors = Vec::new();
         for (row, first, end) in Spans::new(self.walk.p) {
             let places = row * patch.stride() + first..row * patch.stride() + end;
-            let candidates = places.filter(|&place| !patch.z()[place].is_nan());
+            let candidates = places.filter(|&place| !patch.z(place).is_nan());
             errors.extend(candidates.map(|place| (self.error(patch, grid, place), place)));
         }
         errors
@@ -272,11 +272,7 @@ mod tests {
             .filter(|&(x, y)| inside(Point { x: x << SUB_BITS, y: y << SUB_BITS }))
             .map(|(x, y)| (y * patch.stride() as i32 + x, x, y))
             .map(|(at, x, y)| {
-                (
-                    at,
-                    (f64::from(patch.z()[at as usize]) - plane.at(plane.on_row(y as usize), x as usize))
-                        .abs(),
-                )
+                (at, (f64::from(patch.z(at as usize)) - plane.at(plane.on_row(y as usize), x as usize)).abs())
             })
             .filter(|(_, error)| !error.is_nan())
             .collect()

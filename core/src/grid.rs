@@ -7,6 +7,7 @@ use std::ops::Sub;
 /// A sample type of the raster; arithmetic whose rounding matters is done in `f64`.
 pub trait Height: Copy + PartialOrd + Sub<Output = Self> + Send + Sync + 'static {
     fn to_f64(self) -> f64;
+    fn to_f32(self) -> f32;
     fn from_f64(value: f64) -> Self;
 }
 
@@ -14,6 +15,10 @@ impl Height for f32 {
     #[inline(always)]
     fn to_f64(self) -> f64 {
         f64::from(self)
+    }
+    #[inline(always)]
+    fn to_f32(self) -> f32 {
+        self
     }
     #[inline(always)]
     fn from_f64(value: f64) -> Self {
@@ -25,6 +30,10 @@ impl Height for f64 {
     #[inline(always)]
     fn to_f64(self) -> f64 {
         self
+    }
+    #[inline(always)]
+    fn to_f32(self) -> f32 {
+        self as f32
     }
     #[inline(always)]
     fn from_f64(value: f64) -> Self {

@@ -9,6 +9,7 @@ use crate::error::Result;
 use crate::grid::{Grid, Height};
 use crate::outlook::{share_out, Outlook, Waiting};
 use crate::patch::Patch;
+use crate::predicate::Point;
 use crate::progress::Progress;
 use crate::refine::{Goal, Refiner, Stop};
 use crate::rule::Rule;
@@ -17,13 +18,12 @@ use crate::surface::Surface;
 use crate::threads::spread;
 use crate::tiles::{cut, merge, Queued, Shared, Tile};
 use crate::tiling::Tiling;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
 
-/// Up to these shares of the points all tiles go down to one level; what is left then is
-/// shared out among them.
-const NEARLY: [f64; 5] = [0.9, 0.98, 0.996, 0.9992, 0.99984];
-
-/// So many of them are enough where the largest error alone does not count.
-const FEWER: usize = 3;
+/// Up to these shares of the points all tiles go down to one level; what is left then goes in one
+/// at a time.
+const NEARLY: [f64; 2] = [0.9, 0.99];
 
 /// Whether the tiles have to end on one level, or roughly so, because other scales follow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,6 +96,7 @@ impl<'t> Refinement<'t> {
                 tile.queued = Queued::Before(frame);
             }
         }
+        ladder.seams.start_again();
         let image = Image { grid, rule };
         if max_points < grid.rows() * grid.cols() {
             return ladder.count_down(image, (max_points, end), progress);
@@ -161,7 +162,6 @@ impl Ladder<'_> {
         if self.tiles.iter().any(|tile| matches!(tile.queued, Queued::Nothing)) {
             self.descend(image, queueing, no_points(&none), progress)?;
         }
-        let shares = if image.rule.is_max() { &NEARLY[..] } else { &NEARLY[..FEWER] };
         let mut outlook = self.outlook.take().unwrap_or_else(|| Outlook::new(image.rule));
         let mut last: Option<(usize, Vec<Waiting>)> = None;
         let stop = loop {
@@ -177,35 +177,36 @@ impl Ladder<'_> {
                 self.descend(image, Rung { is_exact, ..queueing }, no_points(&none), progress)?;
             }
             let waiting: Vec<Waiting> = self.tiles.iter().map(|tile| tile.refiner.waiting()).collect();
-            let is_done = |tile: &Tile| matches!(tile.queued, Queued::Now(_));
-            if self.tiles.iter().all(is_done)
+            // Under infinite priorities no level lets anything through.
+            let is_stuck = last.is_some_and(|(before, waited)| before == count && waited == waiting);
+            let left = most - before;
+            let target = match end {
+                End::Level => {
+                    NEARLY.map(|share| share * most).into_iter().find(|target| target - before > WORTH * left)
+                }
+                End::Rough => Some(most),
+            };
+            let Some(target) = target.filter(|_| !is_stuck) else {
+                if self.tiles.iter().any(|tile| !tile.is_ready(is_exact)) {
+                    self.descend(image, Rung { is_exact, ..queueing }, no_points(&none), progress)?;
+                }
+                break self.go_singly(image, max_points, progress)?;
+            };
+            if self.tiles.iter().all(|tile| tile.is_ready(false))
                 && !waiting.iter().flatten().any(|&(priority, _)| priority > 0.0)
             {
                 break Stop::Tolerance;
             }
-            let left = (max_points - count) as f64;
-            let target = match end {
-                End::Level => {
-                    shares.iter().map(|share| share * most).find(|target| target - before > WORTH * left)
-                }
-                End::Rough => Some(most),
-            };
-            let wanted = target.map_or(left, |target| target.min(GROWTH * before) - before);
+            let wanted = target.min(GROWTH * before) - before;
             progress.part([before / most, ((before + wanted) / most).min(1.0)]);
-            // Under infinite priorities no level lets anything through.
-            let is_stuck = last.is_some_and(|(before, waited)| before == count && waited == waiting);
-            let level = if is_stuck { f64::NEG_INFINITY } else { outlook.level_for(wanted, &waiting) };
+            let level = outlook.level_for(wanted, &waiting);
             let needs = outlook.needs(&waiting, level);
             let points = self.refine_seams(image, level, (left / 8.0) as usize);
             let left = max_points.saturating_sub(self.count());
             let room = match end {
-                End::Level if target.is_some() => {
-                    ((ROOM * wanted) as usize).min((MOST_LEFT * left as f64) as usize) + 1
-                }
-                _ => left,
+                End::Level => ((ROOM * wanted) as usize).min((MOST_LEFT * left as f64) as usize) + 1,
+                End::Rough => left,
             };
-            let is_level = target.is_some() || end == End::Level && left > self.tiles.len();
-            let level = if is_level { level } else { f64::NEG_INFINITY };
             let rung = Rung { level, rooms: &share_out(room, &needs), is_exact };
             self.descend(image, rung, points, progress)?;
             outlook.learn((self.count() - count) as f64 / wanted);
@@ -213,6 +214,40 @@ impl Ladder<'_> {
         };
         self.outlook = Some(outlook);
         Ok(stop)
+    }
+
+    /// Inserts one candidate at a time, the most urgent of all tiles, until there are `max_points`.
+    fn go_singly<T: Height>(
+        &mut self,
+        Image { grid, rule }: Image<T>,
+        max_points: usize,
+        progress: &mut Progress,
+    ) -> Result<Stop> {
+        let first = self.count();
+        let mut count = first;
+        // Priorities that are not negative sort as their bits do.
+        let tops = self.tiles.iter_mut().enumerate();
+        let mut tops: BinaryHeap<(u64, Reverse<usize>)> =
+            tops.filter_map(|(i, tile)| Some((tile.refiner.top()?.to_bits(), Reverse(i)))).collect();
+        let mut patch = Patch::nothing();
+        while count < max_points {
+            let Some((_, Reverse(i))) = tops.pop() else { return Ok(Stop::Tolerance) };
+            let tile = &mut self.tiles[i];
+            let window = self.tiling.window(tile.number);
+            let Queued::Now(frame) = tile.queued else { continue };
+            let cut = |patch: &mut Patch, corners: &[Point]| {
+                let part = window.around(corners);
+                patch.cut(grid, (window, frame), part)?;
+                self.tiling.on_seams(part).chain(corners.iter().copied()).for_each(|p| patch.exclude(p));
+                Ok(())
+            };
+            let before = tile.inserted();
+            let work = tile.refiner.step(grid, &mut patch, rule, cut)?;
+            count += tile.inserted() - before;
+            tops.extend(tile.refiner.top().map(|top| (top.to_bits(), Reverse(i))));
+            progress.poll(work, || (count - first) as f64 / (max_points - first) as f64)?;
+        }
+        Ok(Stop::Points)
     }
 
     /// Whether a sample may stand for a triangle of some tile.
@@ -233,8 +268,7 @@ impl Ladder<'_> {
         let (Image { grid, rule }, tiling) = (image, self.tiling);
         let tiles = self.tiles.iter_mut().zip(points).zip(rooms);
         let is_busy = |((tile, points), room): &((&mut Tile, Vec<_>), &usize)| {
-            let is_ready = matches!(tile.queued, Queued::Now(_)) && !(is_exact && tile.refiner.is_sampling());
-            **room > 0 || !points.is_empty() || !is_ready
+            **room > 0 || !points.is_empty() || !tile.is_ready(is_exact)
         };
         let busy: Vec<_> = tiles.filter(is_busy).collect();
         spread(progress, busy.into_iter(), |((tile, points), &room), progress| {
@@ -273,6 +307,11 @@ impl Ladder<'_> {
 }
 
 impl Tile {
+    /// Whether its queue is that of the image, and without samples if it is to be exact.
+    fn is_ready(&self, is_exact: bool) -> bool {
+        matches!(self.queued, Queued::Now(_)) && !(is_exact && self.refiner.is_sampling())
+    }
+
     /// The heights of the tile, after its new seam vertices have been inserted.
     fn prepare<T: Height>(
         &mut self,

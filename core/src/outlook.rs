@@ -35,13 +35,12 @@ impl Outlook {
         }
     }
 
-    /// Points for each tile; without a level (negative infinity) all that waits counts alike.
+    /// Points for each tile.
     pub fn needs(&self, waiting: &[Waiting], level: f64) -> Vec<f64> {
         let needs = |&(priority, count): &(f64, usize)| {
             let is_over = priority > level;
             if is_over {
-                let ratio = if level > 0.0 { priority / level } else { f64::INFINITY };
-                count as f64 * ratio.powf(self.steepness).min(FARTHEST)
+                count as f64 * (priority / level).powf(self.steepness).min(FARTHEST)
             } else {
                 0.0
             }

@@ -6,6 +6,7 @@ use crate::grid::{extent, Grid, Height};
 use crate::lanes::LANES;
 use crate::memory;
 use crate::predicate::{Point, SUB_BITS};
+use std::ops::Range;
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,37 +20,57 @@ pub struct Window {
 /// How heights become single precision.
 #[derive(Clone, Copy, Debug)]
 pub struct Frame {
-    /// What is taken off the heights.
+    /// What is taken off the heights, of their type.
     reference: f64,
     /// Whether nothing is rounded: so it is where the raster is in single precision.
     is_exact: bool,
-}
-
-pub struct Patch {
-    z: Vec<f32>,
-    stride: usize,
-    window: Window,
-    frame: Frame,
     /// The largest |height| over the reference.
     largest: f32,
 }
 
+/// Places are numbers of pixels, row after row of the window.
+pub struct Patch {
+    z: Vec<f32>,
+    /// The first place in `z`.
+    base: usize,
+    stride: usize,
+    window: Window,
+    frame: Frame,
+}
+
 impl Window {
+    /// The pixels of this one between and beside the points, and others that make it no slower.
+    pub fn around(self, points: &[Point]) -> Self {
+        let reach = |first: usize, count: usize, of: fn(&Point) -> i32| {
+            let (low, high) =
+                points.iter().map(of).fold((i32::MAX, i32::MIN), |all, v| (all.0.min(v), all.1.max(v)));
+            let first_seen = first.max((low >> SUB_BITS).max(0) as usize);
+            let end = (first + count).min((high >> SUB_BITS).max(0) as usize + 2);
+            (first_seen, end.saturating_sub(first_seen))
+        };
+        let ((col, cols), (row, rows)) =
+            (reach(self.col, self.cols, |p| p.x), reach(self.row, self.rows, |p| p.y));
+        Window { col, row, cols: cols.next_multiple_of(WIDTH).min(self.col + self.cols - col), rows }
+    }
+
     fn rows<'a, T: Height>(self, grid: &'a Grid<T>) -> impl Iterator<Item = &'a [T]> {
         let Window { col, row, cols, rows } = self;
         (row..row + rows).map(move |row| &grid.row(row)[col..col + cols])
     }
 }
 
+/// Heights that are shifted together.
+const WIDTH: usize = 16;
+
 /// Takes the reference off the heights; returns the largest |height| left, and whether nothing
 /// was rounded, of which nothing is said unless `CHECK`.
 #[inline]
 fn shift<T: Height, const CHECK: bool>(heights: &[T], reference: f64, into: &mut [f32]) -> (f32, bool) {
-    const WIDTH: usize = 16;
     let (mut largest, mut rounded) = ([0.0f32; WIDTH], [false; WIDTH]);
+    let base = T::from_f64(reference);
     let mut over = |height: T, lane: usize| {
-        let shifted = height.to_f64() - reference;
-        let z = shifted as f32;
+        // Both are of one type, so that this is as good as in double precision.
+        let z = (height - base).to_f32();
         largest[lane] = if z.abs() > largest[lane] { z.abs() } else { largest[lane] };
         if CHECK {
             let back = f64::from(z) + reference;
@@ -68,6 +89,18 @@ fn shift<T: Height, const CHECK: bool>(heights: &[T], reference: f64, into: &mut
         *into = over(height, 0);
     }
     (largest.into_iter().fold(0.0, f32::max), !rounded.contains(&true))
+}
+
+/// Places from one row to the next. Errors: `too-large`.
+fn stride(Window { cols, rows, .. }: Window) -> Result<usize> {
+    // An odd number of cache lines: rows do not compete for the same places of the cache.
+    const LINE: usize = 16;
+    let stride = ((cols + LANES).div_ceil(LINE) | 1) * LINE;
+    if stride * (rows + 1) > i32::MAX as usize {
+        let message = format!("{cols} x {rows} pixels are more than can be refined as one tile");
+        return Err(Error::input("too-large", message));
+    }
+    Ok(stride)
 }
 
 impl Patch {
@@ -107,23 +140,45 @@ impl Patch {
     pub fn framed<T: Height>(grid: &Grid<T>, window: Window, frame: Frame) -> Result<Self> {
         let mut patch = Patch::empty(window, frame.reference)?;
         patch.fill::<T, false>(grid);
-        patch.frame.is_exact = frame.is_exact;
+        patch.frame = frame;
         Ok(patch)
     }
 
-    fn empty(window: Window, reference: f64) -> Result<Self> {
-        let Window { cols, rows, .. } = window;
-        // An odd number of cache lines: rows do not compete for the same places of the cache.
-        const LINE: usize = 16;
-        let stride = ((cols + LANES).div_ceil(LINE) | 1) * LINE;
-        let count = stride * (rows + 1);
-        if count > i32::MAX as usize {
-            let message = format!("{cols} x {rows} pixels are more than can be refined as one tile");
-            return Err(Error::input("too-large", message));
+    /// One that holds nothing yet.
+    pub fn nothing() -> Self {
+        let window = Window { col: 0, row: 0, cols: 0, rows: 0 };
+        let frame = Frame { reference: 0.0, is_exact: false, largest: 0.0 };
+        Patch { z: Vec::new(), base: 0, stride: 0, window, frame }
+    }
+
+    /// Becomes what [`Patch::framed`] makes, but of `part` of the window alone; what else there is in
+    /// the rows of the part is undefined. Errors: `out-of-memory`, `too-large`.
+    pub fn cut<T: Height>(
+        &mut self,
+        grid: &Grid<T>,
+        (window, frame): (Window, Frame),
+        part: Window,
+    ) -> Result<()> {
+        let stride = stride(window)?;
+        let count = part.rows * stride + LANES;
+        if self.z.len() < count {
+            memory::ensure(size_of::<f32>() * count)?;
+            self.z.resize(count, f32::NAN);
         }
+        for (into, heights) in self.z.chunks_mut(stride).zip(part.rows(grid)) {
+            shift::<T, false>(heights, frame.reference, &mut into[part.col - window.col..]);
+        }
+        (self.base, self.stride) = ((part.row - window.row) * stride, stride);
+        (self.window, self.frame) = (window, frame);
+        Ok(())
+    }
+
+    fn empty(window: Window, reference: f64) -> Result<Self> {
+        let stride = stride(window)?;
+        let count = stride * window.rows + LANES;
         memory::ensure(size_of::<f32>() * count)?;
-        let z = vec![f32::NAN; stride * rows + LANES];
-        Ok(Patch { z, stride, window, frame: Frame { reference, is_exact: false }, largest: 0.0 })
+        let frame = Frame { reference, is_exact: false, largest: 0.0 };
+        Ok(Patch { z: vec![f32::NAN; count], base: 0, stride, window, frame })
     }
 
     /// Copies the heights over the reference; `is_exact` is looked into if `CHECK`.
@@ -134,8 +189,7 @@ impl Patch {
             let row = shift(heights, self.frame.reference, into);
             (largest, is_exact) = (largest.max(row.0), is_exact & row.1);
         }
-        self.largest = largest;
-        self.frame.is_exact = is_exact;
+        self.frame = Frame { largest, is_exact, ..self.frame };
     }
 
     pub fn frame(&self) -> Frame {
@@ -151,14 +205,14 @@ impl Patch {
     }
 
     pub fn largest(&self) -> f64 {
-        f64::from(self.largest)
+        f64::from(self.frame.largest)
     }
 
     /// Height of a candidate.
     #[inline]
     pub fn height<T: Height>(&self, place: usize, grid: &Grid<T>) -> f64 {
         if self.frame.is_exact {
-            return f64::from(self.z[place]) + self.frame.reference;
+            return f64::from(self.z(place)) + self.frame.reference;
         }
         let (col, row) = self.pixel(place);
         grid.at(col, row)
@@ -168,10 +222,23 @@ impl Patch {
         self.stride
     }
 
-    /// All heights, row after row; eight can be read from any pixel on.
+    /// Number of places.
+    pub fn size(&self) -> usize {
+        self.stride * self.window.rows
+    }
+
     #[inline(always)]
-    pub fn z(&self) -> &[f32] {
-        &self.z
+    pub fn z(&self, place: usize) -> f32 {
+        self.z[place - self.base]
+    }
+
+    /// The heights at some places, of which eight can be read from any pixel on; nothing if the
+    /// patch does not hold them.
+    #[inline(always)]
+    pub fn heights(&self, places: Range<usize>) -> &[f32] {
+        self.z
+            .get(places.start.wrapping_sub(self.base)..places.end.wrapping_sub(self.base))
+            .unwrap_or_default()
     }
 
     /// A lattice point relative to the first pixel.
@@ -181,7 +248,7 @@ impl Patch {
         Point { x: p.x - first.x, y: p.y - first.y }
     }
 
-    /// (column, row) relative to the first pixel of a place in `z`.
+    /// (column, row) of a place relative to the first pixel of the window.
     #[inline(always)]
     pub fn split(&self, place: usize) -> (usize, usize) {
         // Division is faster in 32 bits, which hold all places.
@@ -206,7 +273,43 @@ impl Patch {
             && col < self.window.cols
             && row < self.window.rows
         {
-            self.z[row * self.stride + col] = f32::NAN;
+            let place = (row * self.stride + col).wrapping_sub(self.base);
+            self.z.get_mut(place).into_iter().for_each(|z| *z = f32::NAN);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_part_holds_what_the_whole_does(
+            z in prop::collection::vec(-9.0f32..9.0, 1600),
+            window in prop::array::uniform4(0usize..19), c in prop::array::uniform6(0usize..20),
+        ) {
+            let [col, row, more_cols, more_rows] = window;
+            let window = Window { col, row, cols: 2 + more_cols, rows: 2 + more_rows };
+            let grid = Grid::new(&z, 40, 40).unwrap();
+            let whole = Patch::new(&grid, window).unwrap();
+            let points = [0, 1, 2].map(|i| Point::pixel(col + c[2 * i] % window.cols, row + c[2 * i + 1] % window.rows));
+            let part = window.around(&points);
+            let mut cut = Patch::nothing();
+            let elsewhere = Window { col: 0, row: 0, cols: 40, rows: 40 };
+            cut.cut(&grid, (elsewhere, whole.frame()), elsewhere).unwrap();
+            cut.cut(&grid, (window, whole.frame()), part).unwrap();
+            prop_assert_eq!((whole.stride(), whole.size(), whole.largest()), (cut.stride(), cut.size(), cut.largest()));
+            for p in points {
+                let (c, r) = p.as_pixel().unwrap();
+                prop_assert!((part.col..part.col + part.cols).contains(&c) && (part.row..part.row + part.rows).contains(&r));
+            }
+            for (c, r) in (0..part.rows).flat_map(|r| (0..part.cols).map(move |c| (c, r))) {
+                let place = (part.row - row + r) * whole.stride() + part.col - col + c;
+                prop_assert_eq!(whole.z(place), cut.z(place));
+                prop_assert_eq!(cut.pixel(place), (part.col + c, part.row + r));
+            }
         }
     }
 }

@@ -112,7 +112,9 @@ pub fn triangulate<T: Height>(
     options: &Options,
     progress: &mut Progress,
 ) -> Result<Triangulation> {
-    validate(options, grid)?;
+    let largest = largest(grid.z());
+    validate(options, grid, largest)?;
+    let rounding = ROUNDING * largest;
     let Images { data: whole, spikes, noise } = prepare(grid, options, progress)?;
     let whole = Grid::new(&whole, grid.rows(), grid.cols())?;
     progress.stage("outline")?;
@@ -152,7 +154,6 @@ pub fn triangulate<T: Height>(
     surface.insert_pixels(&options.constraints.pixels, &image);
     let is_too_few = surface.count() > most;
     let mut stop = Stop::Tolerance;
-    let rounding = ROUNDING * largest(data.z());
     let first = surface.count();
     let mut refinement = Refinement::new(surface, &tiling)?;
     for (i, &sigma) in scales.iter().enumerate() {
@@ -191,6 +192,8 @@ pub fn triangulate<T: Height>(
         // Pixels on seams were no candidates, also where a seam runs along another constraint.
         let mesh = &surface.mesh;
         touched.extend((0..mesh.triangles().len() as u32).filter(|&t| tiling.is_on_seam(mesh.corners(t))));
+        touched.sort_unstable();
+        touched.dedup();
         // All points are used up if it is them that end the refinement.
         let tolerance = if stop == Stop::Points { 0.0 } else { options.rule.tolerance };
         let image = Grid::new(&finest, grid.rows(), grid.cols())?;
@@ -221,7 +224,8 @@ pub fn triangulate<T: Height>(
     Ok(Triangulation { surface, report })
 }
 
-fn validate<T: Height>(options: &Options, grid: &Grid<T>) -> Result<()> {
+/// `largest`: of all |heights|.
+fn validate<T: Height>(options: &Options, grid: &Grid<T>, largest: f64) -> Result<()> {
     let Rule { priority, weight, candidate, tolerance, bound } = options.rule;
     let quantile = |q: f64| q > 0.0 && q <= 1.0;
     let bad = |message: &str| Err(Error::option("bad-option", message));
@@ -237,7 +241,7 @@ fn validate<T: Height>(options: &Options, grid: &Grid<T>) -> Result<()> {
     if options.constraints.pixels.iter().any(|&(col, row)| col >= grid.cols() || row >= grid.rows()) {
         return bad("an initial point lies outside the raster");
     }
-    if largest(grid.z()) > MAX_HEIGHT {
+    if largest > MAX_HEIGHT {
         return Err(Error::input("height-range", "heights beyond 1e100 are no terrain"));
     }
     let Constraints { points, lines, flat, .. } = &options.constraints;

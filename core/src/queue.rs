@@ -64,6 +64,9 @@ impl Eq for Candidate {}
 
 /// Bits of a priority that name its bucket: exponent and three of the mantissa.
 const BUCKET_SHIFT: u32 = 52 - 3;
+/// And its part of that, where priorities are to be known better.
+const BINS: usize = 8;
+const BIN_SHIFT: u32 = BUCKET_SHIFT - BINS.ilog2();
 /// Buckets kept apart, 40 octaves on either side of the first priority; what lies
 /// beyond shares the outermost ones.
 const BUCKETS: usize = 2 * 40 * 8;
@@ -100,13 +103,25 @@ impl Queue {
         Queue { open: BinaryHeap::new(), batch: Vec::new(), waiting, lowest: None, level: BUCKETS, local }
     }
 
-    /// How many candidates wait at about which priority, by buckets. Stale ones count, too: see
+    /// How many candidates wait at about which priority. Stale ones count, too: see
     /// [`Queue::retain`].
     pub fn waiting(&self) -> Vec<(f64, usize)> {
         let open = self.open.iter().chain(&self.batch).map(|c| (c.priority, 1));
-        let lists = self.waiting.iter().filter(|list| !list.is_empty());
-        let mean = |list: &[Candidate]| list.iter().map(|c| c.priority).sum::<f64>() / list.len() as f64;
-        pooled(open.chain(lists.map(|list| (mean(list), list.len()))))
+        let lists = self.waiting.iter().flat_map(|list| {
+            let mut bins = [(0.0, 0); BINS];
+            for candidate in list {
+                let bin = &mut bins[(candidate.priority.to_bits() >> BIN_SHIFT) as usize % BINS];
+                *bin = (bin.0 + candidate.priority, bin.1 + 1);
+            }
+            bins.into_iter().filter(|bin| bin.1 > 0).map(|(sum, count)| (sum / count as f64, count))
+        });
+        pooled(open.chain(lists))
+    }
+
+    /// The highest priority among those that `is_current` accepts.
+    pub fn top(&mut self, is_current: impl Fn(&Candidate) -> bool) -> Option<f64> {
+        self.pop_over(f64::INFINITY, usize::MAX, is_current);
+        self.open.peek().map(|candidate| candidate.priority)
     }
 
     /// Has all triangles scanned again when it is their turn; gives `each` of them.
@@ -189,14 +204,14 @@ impl Queue {
     }
 }
 
-/// How many there are at each mean priority of a bucket.
+/// How many there are at each mean priority of a bin.
 pub fn pooled(counts: impl Iterator<Item = (f64, usize)>) -> Vec<(f64, usize)> {
-    let mut buckets: BTreeMap<u64, (f64, usize)> = BTreeMap::new();
+    let mut bins: BTreeMap<u64, (f64, usize)> = BTreeMap::new();
     for (priority, count) in counts {
-        let bucket = buckets.entry(priority.to_bits() >> BUCKET_SHIFT).or_default();
-        *bucket = (bucket.0 + priority * count as f64, bucket.1 + count);
+        let bin = bins.entry(priority.to_bits() >> BIN_SHIFT).or_default();
+        *bin = (bin.0 + priority * count as f64, bin.1 + count);
     }
-    buckets.into_values().map(|(sum, count)| (sum / count as f64, count)).collect()
+    bins.into_values().map(|(sum, count)| (sum / count as f64, count)).collect()
 }
 
 #[cfg(test)]

@@ -138,10 +138,10 @@ impl Refiner {
         rule: &Rule,
         progress: &mut Progress,
     ) -> Result<()> {
-        let is_large = patch.z().len() > EXACT_PIXELS;
+        let is_large = patch.size() > EXACT_PIXELS;
         if !rule.is_max() {
             // For the errors of a triangle that covers all of it, while their lists grow.
-            memory::ensure(32 * patch.z().len())?;
+            memory::ensure(32 * patch.size())?;
         }
         self.queue = Queue::new(is_large.then_some(patch.stride() as u32));
         let all = vec![true; self.surface.mesh.triangles().len()];
@@ -240,6 +240,36 @@ impl Refiner {
         self.queue.retain(|c| mesh.triangle(c.triangle).version == c.version);
     }
 
+    /// The highest priority that waits.
+    pub fn top(&mut self) -> Option<f64> {
+        let mesh = &self.surface.mesh;
+        self.queue.top(|c| mesh.triangle(c.triangle).version == c.version)
+    }
+
+    /// Works off the most urgent candidate alone. `cut` puts what lies around some corners, which
+    /// are no candidates, into the patch. Returns the work done in pixels.
+    pub fn step<T: Height>(
+        &mut self,
+        grid: &Grid<T>,
+        patch: &mut Patch,
+        rule: &Rule,
+        cut: impl Fn(&mut Patch, &[Point]) -> Result<()>,
+    ) -> Result<usize> {
+        let mesh = &self.surface.mesh;
+        let is_current = |c: &Candidate| mesh.triangle(c.triangle).version == c.version;
+        let Some(best) = self.queue.pop(1, is_current) else { return Ok(0) };
+        cut(patch, &mesh.corners(best.triangle))?;
+        if best.pick == Pick::RESCAN {
+            return Ok(self.enqueue(grid, patch, rule, best.triangle));
+        }
+        let (pixel, z, place) = self.candidate(grid, patch, &best);
+        self.insert((pixel, z, place));
+        let mesh = &self.surface.mesh;
+        let corners: Vec<Point> = self.around.iter().flat_map(|&t| mesh.corners(t)).collect();
+        cut(patch, &corners)?;
+        Ok(self.enqueue_around(grid, patch, rule))
+    }
+
     /// Inserts the pixel and queues the triangles around it. Returns the work done in pixels.
     fn insert_candidate<T: Height>(
         &mut self,
@@ -248,14 +278,24 @@ impl Refiner {
         rule: &Rule,
         best: &Candidate,
     ) -> usize {
+        let candidate = self.candidate(grid, patch, best);
+        self.insert_at(grid, patch, rule, candidate).1
+    }
+
+    /// The pixel to insert, its height and its place in the mesh.
+    fn candidate<T: Height>(
+        &self,
+        grid: &Grid<T>,
+        patch: &Patch,
+        best: &Candidate,
+    ) -> ((usize, usize), f64, Location) {
         let found = match best.pick.error() {
             Some(error) => self.ranker.find(patch, &self.facet(patch, best.triangle), error),
             None => best.pixel as usize,
         };
         let pixel = patch.pixel(found);
         let place = self.surface.mesh.place_in(Point::pixel(pixel.0, pixel.1), best.triangle);
-        let z = patch.height(found, grid);
-        self.insert_at(grid, patch, rule, (pixel, z, place)).1
+        (pixel, grid.at(pixel.0, pixel.1), place)
     }
 
     #[inline]
@@ -272,15 +312,28 @@ impl Refiner {
         rule: &Rule,
         (pixel, z, place): ((usize, usize), f64, Location),
     ) -> (u32, usize) {
-        let v = self.surface.insert_pixel(pixel, place, z);
+        let v = self.insert((pixel, z, place));
         patch.exclude(Point::pixel(pixel.0, pixel.1));
+        (v, self.enqueue_around(grid, patch, rule))
+    }
+
+    /// Inserts a pixel and notes the triangles around it.
+    #[inline]
+    fn insert(&mut self, (pixel, z, place): ((usize, usize), f64, Location)) -> u32 {
+        let v = self.surface.insert_pixel(pixel, place, z);
         let mesh = &self.surface.mesh;
-        let mut around = std::mem::take(&mut self.around);
-        around.clear();
-        around.extend(mesh.fan(mesh.leaving(place.triangle(), v)).map(triangle_of));
+        self.around.clear();
+        self.around.extend(mesh.fan(mesh.leaving(place.triangle(), v)).map(triangle_of));
+        v
+    }
+
+    /// Queues the triangles around the last vertex. Returns the work done in pixels.
+    #[inline]
+    fn enqueue_around<T: Height>(&mut self, grid: &Grid<T>, patch: &Patch, rule: &Rule) -> usize {
+        let around = std::mem::take(&mut self.around);
         let work: usize = around.iter().map(|&t| self.enqueue(grid, patch, rule, t)).sum();
         self.around = around;
-        (v, 64 + work)
+        64 + work
     }
 
     /// Scans and queues the triangles that are marked.

@@ -12,6 +12,18 @@ use crate::tiling::Tiling;
 struct Edge {
     ends: [(usize, usize); 2],
     z: [f64; 2],
+    split: Split,
+}
+
+/// What the image says about splitting an edge.
+#[derive(Clone, Copy)]
+enum Split {
+    /// It has not been looked at.
+    Unknown,
+    /// It is within its share of the tolerance.
+    Within,
+    /// By this priority, and at this pixel.
+    At(f64, (usize, usize)),
 }
 
 /// A pixel on a seam that has become a vertex.
@@ -63,6 +75,11 @@ impl Seams {
         self.edges.len()
     }
 
+    /// Another image or another rule follows.
+    pub fn start_again(&mut self) {
+        self.edges.iter_mut().for_each(|edge| edge.split = Split::Unknown);
+    }
+
     /// Splits edges whose priority is over its share of `level` and that are beyond theirs of
     /// the tolerance, until none is left or there are `most` new vertices; these in the order
     /// they were found.
@@ -77,19 +94,26 @@ impl Seams {
         let mut found = Vec::new();
         let mut open = std::mem::take(&mut self.edges);
         let mut errors = Vec::new();
-        while let Some(edge) = open.pop() {
+        while let Some(mut edge) = open.pop() {
             if found.len() == most {
                 self.edges.push(edge);
                 continue;
             }
-            let split = edge.candidate(grid, rule, level, &mut errors);
-            match split.and_then(|pixel| Some((pixel, tiling.beside(pixel.0, pixel.1)?))) {
+            if let Split::Unknown = edge.split {
+                edge.split = edge.candidate(grid, rule, &mut errors);
+            }
+            let pixel = match edge.split {
+                Split::At(priority, pixel) if priority > SHARE * level => Some(pixel),
+                _ => None,
+            };
+            match pixel.and_then(|pixel| Some((pixel, tiling.beside(pixel.0, pixel.1)?))) {
                 None => self.edges.push(edge),
                 Some((pixel, tiles)) => {
                     let z = grid.at(pixel.0, pixel.1);
                     found.push(SeamPoint { pixel, z, tiles });
-                    open.push(Edge { ends: [edge.ends[0], pixel], z: [edge.z[0], z] });
-                    open.push(Edge { ends: [pixel, edge.ends[1]], z: [z, edge.z[1]] });
+                    let ([a, b], [za, zb]) = (edge.ends, edge.z);
+                    open.push(Edge::between([a, pixel], [za, z]));
+                    open.push(Edge::between([pixel, b], [z, zb]));
                 }
             }
         }
@@ -98,23 +122,26 @@ impl Seams {
 }
 
 impl Edge {
+    fn between(ends: [(usize, usize); 2], z: [f64; 2]) -> Self {
+        Edge { ends, z, split: Split::Unknown }
+    }
+
     /// The part of an edge of the mesh between its first and last pixel, if these are apart.
     fn new(p: [Point; 2], z: [f64; 2]) -> Option<Self> {
         let ends = [p[0].as_pixel(), p[1].as_pixel()];
         let [Some(a), Some(b)] = ends else { return None };
         let is_along = a.0 == b.0 || a.1 == b.1;
-        let ascending = if a < b { Edge { ends: [a, b], z } } else { Edge { ends: [b, a], z: [z[1], z[0]] } };
+        let ascending = if a < b { Edge::between([a, b], z) } else { Edge::between([b, a], [z[1], z[0]]) };
         is_along.then_some(ascending)
     }
 
-    /// The pixel to split the edge at.
+    /// The pixel to split the edge at, if it is beyond its share of the tolerance.
     fn candidate<T: Height>(
         &self,
         grid: &Grid<T>,
         rule: &Rule,
-        level: f64,
         errors: &mut Vec<(f64, (usize, usize))>,
-    ) -> Option<(usize, usize)> {
+    ) -> Split {
         let [a, b] = self.ends;
         let length = (b.0 - a.0).max(b.1 - a.1);
         let (right, down) = (usize::from(b.0 > a.0), usize::from(b.1 > a.1));
@@ -128,7 +155,7 @@ impl Edge {
             }
         }
         if errors.is_empty() {
-            return None;
+            return Split::Within;
         }
         // The first of equal errors, as in a stable order.
         let order =
@@ -140,7 +167,10 @@ impl Edge {
         let worst = quantile(1.0).0;
         let pixels = (AREA * (length * length) as f64).max(1.0);
         let priority = rule.priority_of(quantile(rule.priority).0, worst, pixels);
-        let is_needed = priority > SHARE * level && quantile(rule.bound).0 > SHARE * rule.tolerance;
-        is_needed.then(|| quantile(rule.candidate).1)
+        if quantile(rule.bound).0 > SHARE * rule.tolerance {
+            Split::At(priority, quantile(rule.candidate).1)
+        } else {
+            Split::Within
+        }
     }
 }

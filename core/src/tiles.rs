@@ -186,14 +186,12 @@ pub fn merge(shared: Shared, tiles: Vec<Tile>) -> Result<Surface> {
 }
 
 /// Makes ordinary edges of the seams, and the mesh Delaunay again; returns the triangles
-/// that touch a former seam or have changed, ascending.
+/// that touch a former seam or have changed.
 pub fn release_seams(mesh: &mut Mesh) -> Vec<u32> {
     let is_seam = |h: &u32| mesh.triangle(triangle_of(*h)).is_seam((*h & 3) as usize);
     let seams: Vec<u32> = mesh.half_edges().filter(is_seam).collect();
     seams.iter().for_each(|&h| mesh.release(h));
     let mut touched: Vec<u32> = seams.iter().map(|&h| triangle_of(h)).collect();
     touched.extend(mesh.make_delaunay_from(seams));
-    touched.sort_unstable();
-    touched.dedup();
     touched
 }

@@ -46,15 +46,19 @@ impl Tiling {
         part(&self.rows, pixel(a.y, b.y, c.y)) * (self.columns.len() - 1) + i
     }
 
-    /// Whether a triangle has a part on a seam, or on what would be one if nothing lay there.
-    pub fn is_on_seam(&self, [a, b, c]: [Point; 3]) -> bool {
-        let crosses = |cuts: &[usize], low: i32, high: i32| {
+    /// Whether a triangle has more than a corner on a seam, or on what would be one if nothing lay
+    /// there.
+    pub fn is_on_seam(&self, p: [Point; 3]) -> bool {
+        let has_part = |cuts: &[usize], mut at: [i32; 3]| {
+            at.sort_unstable();
+            let [low, middle, high] = at;
+            let position = |&cut: &usize| Point::pixel(cut, 0).x;
             let inner = &cuts[1..cuts.len() - 1];
-            let at = |&cut: &usize| Point::pixel(cut, 0).x;
-            inner.get(inner.partition_point(|cut| at(cut) < low)).is_some_and(|cut| at(cut) <= high)
+            let crosses = |cut: i32| low < cut && cut < high || middle == cut && (low == cut || high == cut);
+            let first = inner.partition_point(|cut| position(cut) < low);
+            inner[first..].iter().map(position).take_while(|&cut| cut <= high).any(crosses)
         };
-        crosses(&self.columns, a.x.min(b.x).min(c.x), a.x.max(b.x).max(c.x))
-            || crosses(&self.rows, a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y))
+        has_part(&self.columns, p.map(|p| p.x)) || has_part(&self.rows, p.map(|p| p.y))
     }
 
     /// The seams, as the points where they start, meet and end.
@@ -77,10 +81,10 @@ impl Tiling {
         }
     }
 
-    /// Pixels of the window that lie on seams, not on the border of the raster.
+    /// Pixels on the border of a window that lie on seams, not on the border of the raster.
     pub fn on_seams(&self, window: Window) -> impl Iterator<Item = Point> + '_ {
         let Window { col, row, cols, rows } = window;
-        let is_seam = |cuts: &[usize], at: usize| at != cuts[0] && Some(&at) != cuts.last();
+        let is_seam = |cuts: &[usize], at: usize| cuts[1..cuts.len() - 1].binary_search(&at).is_ok();
         let columns = [col, col + cols - 1].into_iter().filter(move |&c| is_seam(&self.columns, c));
         let lines = [row, row + rows - 1].into_iter().filter(move |&r| is_seam(&self.rows, r));
         let down = columns.flat_map(move |c| (row..row + rows).map(move |r| Point::pixel(c, r)));
@@ -104,6 +108,20 @@ mod tests {
         assert_eq!(cuts(769, 512), [0, 512, 768]);
         assert_eq!(cuts(2, 512), [0, 1]);
         assert_eq!(cuts(9999, 0), [0, 9998]);
+    }
+
+    #[test]
+    fn a_corner_alone_is_no_part_on_a_seam() {
+        let tiling = Tiling::new(40, 40, 10);
+        let is_on_seam =
+            |p: [(usize, usize); 3]| tiling.is_on_seam(p.map(|(col, row)| Point::pixel(col, row)));
+        assert!(is_on_seam([(10, 1), (10, 5), (12, 3)]));
+        assert!(is_on_seam([(1, 20), (5, 20), (3, 18)]));
+        assert!(is_on_seam([(8, 1), (12, 2), (9, 4)]));
+        assert!(is_on_seam([(10, 3), (21, 2), (15, 7)]));
+        assert!(!is_on_seam([(10, 3), (14, 2), (15, 7)]));
+        assert!(!is_on_seam([(10, 3), (14, 2), (20, 7)]));
+        assert!(!is_on_seam([(0, 3), (0, 7), (4, 2)]));
     }
 
     #[test]

@@ -169,7 +169,7 @@ impl Walk {
         let mut place = L::ramp(at as i32, 1);
         let further = L::splat_i(stride as i32);
         let end = bottom as usize * patch.stride() + left as usize + LANES;
-        for row in patch.z().get(at..end).unwrap_or_default().chunks(stride) {
+        for row in patch.heights(at..end).chunks(stride) {
             let Some(heights) = row.first_chunk() else { return };
             let level = L::add(start, L::mul(slope, down));
             let error = L::abs(L::sub(L::load(heights), level));
@@ -192,7 +192,7 @@ impl Walk {
             let mut at = row * patch.stride() + first;
             let last = row * patch.stride() + end;
             while at < last {
-                let Some(heights) = patch.z().get(at..).and_then(|z| z.first_chunk()) else { return };
+                let Some(heights) = patch.heights(at..at + LANES).first_chunk() else { return };
                 let error = L::abs(L::sub(L::sub(L::load(heights), start), L::mul(slope, across)));
                 let inside = L::ramp(at as i32 - last as i32, 1);
                 visitor.see(L::where_negative(inside, error, L::splat(-1.0)), L::ramp(at as i32, 1));
