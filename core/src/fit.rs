@@ -1,22 +1,16 @@
 //! Heights by least squares.
 
 use crate::error::Result;
-use crate::grid::{Grid, Height};
-use crate::lanes::Vectors;
 use crate::memory;
 use crate::mesh::Mesh;
 use crate::moments::{dot, Moments};
 use crate::normal::{Normal, Products};
 use crate::predicate::Point;
 use crate::progress::Progress;
-use crate::sight::{chunks, moments_of, stands, Image, Sight};
+use crate::sight::{chunks, Sight};
 use crate::surface::Surface;
 use crate::threads::spread;
-use std::ops::Range;
 
-/// A vertex that was placed by looking at the data costs more degrees of freedom
-/// than its height (Friedman 1991 charges 2 to 4 for such a knot).
-const KNOT_COST: f64 = 2.0;
 /// Chunks whose results are kept at once.
 const CHUNKS: usize = 1 << 4;
 
@@ -60,15 +54,15 @@ impl<const K: usize> Share<K> {
 }
 
 /// The systems to solve: one matrix, and for each value of the pixels a side and its sum of squares.
-struct Systems<const K: usize> {
-    normal: Normal,
-    sides: Vec<[f64; K]>,
-    squares: [f64; K],
+pub struct Systems<const K: usize> {
+    pub normal: Normal,
+    pub sides: Vec<[f64; K]>,
+    pub squares: [f64; K],
 }
 
 impl<const K: usize> Systems<K> {
     /// `stands`: the values where each vertex stands. `moments(t)`: over the triangle's pixels.
-    fn assemble(
+    pub fn assemble(
         surface: &Surface,
         stands: impl Fn(usize) -> [f64; K],
         moments: impl Fn(u32) -> Moments<K> + Sync,
@@ -125,71 +119,4 @@ pub fn fit_heights(surface: &mut Surface, seen: &Sight, progress: &mut Progress)
     let changes = normal.solve(sides, squares, progress)?;
     surface.z.iter_mut().zip(changes).for_each(|(z, [change])| *z += change);
     Ok(())
-}
-
-/// Images that decide how far the fit should follow the smoothed one.
-pub struct Blend<'a, T> {
-    pub data: Grid<'a, T>,
-    pub smooth: &'a [T],
-    /// Any image of independent, zero-mean, unit-variance noise, and the same smoothed.
-    pub probe: &'a [T],
-    pub smooth_probe: &'a [T],
-    /// Standard deviation of the noise in `data`.
-    pub noise: f64,
-}
-
-impl<T: Height> Blend<'_, T> {
-    /// Fits the heights to the data and the smoothed image, mixed so that the
-    /// unbiased estimate of the risk (Stein 1981) is least; returns the share s of the
-    /// smoothed image. With P the projection onto the surfaces over the mesh, G the
-    /// smoothing and y the data, the fit is P (y - s (y - G y)), and the risk is least
-    /// at s = noise^2 tr(P (I - G)) / |P (I - G) y|^2, the trace estimated as
-    /// p' P (I - G) p with the probe p (Hutchinson 1989) and charged at the cost of
-    /// knots.
-    pub fn fit(&self, surface: &mut Surface, progress: &mut Progress) -> Result<f64> {
-        let stands = stands(surface, &self.data, progress)?;
-        let at = |v: usize| match surface.mesh.point(v as u32).as_pixel() {
-            Some((col, row)) if self.data.is_valid(col, row) => {
-                let i = row * self.data.cols() + col;
-                self.values(i..i + 1).next().unwrap_or_default()
-            }
-            _ => [stands[v], 0.0, 0.0, 0.0],
-        };
-        let vectors = Vectors::best();
-        let moments = |t: u32| moments_of(surface, t, self, vectors);
-        let Systems { normal, sides, squares } = Systems::assemble(surface, at, moments, progress)?;
-        let changes = normal.solve(
-            sides.iter().map(|&[a, b, c, _]| [a, b, c]).collect(),
-            [squares[0], squares[1], squares[2]],
-            progress,
-        )?;
-        let pairs = || changes.iter().zip(&sides);
-        let energy: f64 = pairs().map(|(change, side)| change[1] * side[1]).sum();
-        let trace: f64 = pairs().map(|(change, side)| change[2] * side[3]).sum();
-        let share = KNOT_COST * self.noise * self.noise * trace / energy;
-        let share = if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) };
-        for (z, change) in surface.z.iter_mut().zip(&changes) {
-            *z += change[0] - share * change[1];
-        }
-        Ok(share)
-    }
-
-    /// Of each pixel its height, what smoothing removes of it and of the probe, and the probe.
-    #[inline(always)]
-    fn values(&self, pixels: Range<usize>) -> impl ExactSizeIterator<Item = [f64; 4]> + '_ {
-        let data = self.data.z()[pixels.clone()].iter().zip(&self.smooth[pixels.clone()]);
-        let probe = self.probe[pixels.clone()].iter().zip(&self.smooth_probe[pixels]);
-        data.zip(probe).map(|((height, smooth), (probe, smooth_probe))| {
-            let [height, probe] = [height, probe].map(|value| value.to_f64());
-            [height, height - smooth.to_f64(), probe - smooth_probe.to_f64(), probe]
-        })
-    }
-}
-
-impl<T: Height> Image<4> for Blend<'_, T> {
-    #[inline(always)]
-    fn pixels(&self, row: usize, first: usize, end: usize) -> impl ExactSizeIterator<Item = [f64; 4]> {
-        let start = row * self.data.cols();
-        self.values(start + first..start + end)
-    }
 }

@@ -8,6 +8,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod beside;
+pub mod blend;
 pub mod check;
 pub mod constrain;
 pub mod crop;

@@ -1,9 +1,10 @@
 //! From heights to a mesh: the stages in their order, each a switch of its own.
 
 use crate::beside::{beside_hard_edges, leave_out};
+use crate::blend::Blend;
 use crate::domain::{domain, Constraints};
 use crate::error::{Error, Result};
-use crate::fit::{fit_heights, Blend};
+use crate::fit::fit_heights;
 use crate::flip::{edges, flip_pass};
 use crate::grid::{largest, Grid, Height};
 use crate::ladder::{End, Refinement};
@@ -11,7 +12,7 @@ use crate::measure::count_covered;
 use crate::memory;
 use crate::mesh::Mesh;
 use crate::noise::{noise, spikes, MAX_SAMPLES};
-use crate::order::{by_place, scramble};
+use crate::order::by_place;
 use crate::outline::Shape;
 use crate::predicate::Metric;
 use crate::progress::Progress;
@@ -205,12 +206,15 @@ pub fn triangulate<T: Height>(
         progress.stage("order")?;
         by_place(&mut surface, progress)?;
     }
-    let target = if options.fit {
-        fit(&mut surface, &data, finest, noise, scales[scales.len() - 1], progress)?
+    let (target, seen) = if options.fit {
+        let sigma = scales[scales.len() - 1];
+        let (target, seen) = fit(&mut surface, &data, finest, noise, sigma, progress)?;
+        (target, Some(seen))
     } else {
-        finest
+        (finest, None)
     };
-    let delaunay = flip(&mut surface, &Grid::new(&target, grid.rows(), grid.cols())?, options, progress)?;
+    let target = Grid::new(&target, grid.rows(), grid.cols())?;
+    let delaunay = flip(&mut surface, &target, seen, options, progress)?;
     if bounded && (options.fit || options.flips > 0) {
         (surface, stop) = restore_bound(surface, &data, &options.rule, most, progress)?;
     }
@@ -304,29 +308,26 @@ fn fit<'a, T: Height>(
     noise: f64,
     sigma: [f64; 2],
     progress: &mut Progress,
-) -> Result<Cow<'a, [T]>> {
+) -> Result<(Cow<'a, [T]>, Sight)> {
     progress.stage("fit")?;
-    if noise == 0.0 || sigma == [0.0; 2] {
-        fit_heights(surface, &Sight::of(surface, data, progress)?, progress)?;
-        return Ok(Cow::Borrowed(data.z()));
-    }
-    let random_sign = |i: u64| if scramble(i) & 1 == 0 { 1.0 } else { -1.0 };
-    memory::ensure(size_of_val(data.z()))?;
-    let probe: Vec<T> =
-        (0..).zip(data.z()).map(|(i, z)| T::from_f64(random_sign(i) + 0.0 * z.to_f64())).collect();
-    let smooth_probe = gaussian(&Grid::new(&probe, data.rows(), data.cols())?, sigma, progress)?;
-    let blend = Blend { data: *data, smooth: &smooth, probe: &probe, smooth_probe: &smooth_probe, noise };
-    let share = blend.fit(surface, progress)?;
-    for (smooth, data) in smooth.to_mut().iter_mut().zip(data.z()) {
-        *smooth = T::from_f64(share * smooth.to_f64() + (1.0 - share) * data.to_f64());
-    }
-    Ok(smooth)
+    let target = if noise == 0.0 || sigma == [0.0; 2] {
+        Cow::Borrowed(data.z())
+    } else {
+        let share = Blend { data: *data, smooth: &smooth, sigma, noise }.share(surface, progress)?;
+        for (smooth, data) in smooth.to_mut().iter_mut().zip(data.z()) {
+            *smooth = T::from_f64(share * smooth.to_f64() + (1.0 - share) * data.to_f64());
+        }
+        smooth
+    };
+    let seen = Sight::of(surface, &Grid::new(&target, data.rows(), data.cols())?, progress)?;
+    fit_heights(surface, &seen, progress)?;
+    Ok((target, seen))
 }
 
-/// Flips edges, each round followed by a fit; whether the mesh is still Delaunay.
 fn flip<T: Height>(
     surface: &mut Surface,
     target: &Grid<T>,
+    seen: Option<Sight>,
     options: &Options,
     progress: &mut Progress,
 ) -> Result<bool> {
@@ -334,7 +335,10 @@ fn flip<T: Height>(
         return Ok(true);
     }
     progress.stage("flip")?;
-    let mut seen = Sight::of(surface, target, progress)?;
+    let mut seen = match seen {
+        Some(seen) => seen,
+        None => Sight::of(surface, target, progress)?,
+    };
     let mut open = edges(&surface.mesh);
     for round in 0..options.flips {
         if flip_pass(surface, target, &mut seen, &mut open, progress)? == 0 {

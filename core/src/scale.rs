@@ -12,9 +12,15 @@ use std::borrow::Cow;
 
 /// Gaussian kernels are cut off at this many standard deviations.
 const TRUNCATE: f64 = 4.0;
+
+/// How many pixels a kernel reaches to either side.
+pub fn reach(sigma: f64) -> usize {
+    (TRUNCATE * sigma + 0.5) as usize
+}
+
 /// Sampled Gaussian of standard deviation `sigma` pixels, sum 1.
 fn kernel(sigma: f64) -> Vec<f64> {
-    let radius = (TRUNCATE * sigma + 0.5) as i64;
+    let radius = reach(sigma) as i64;
     let weight = |k: i64| if k == 0 { 1.0 } else { (-0.5 * (k as f64 / sigma).powi(2)).exp() };
     let total: f64 = (-radius..=radius).map(weight).sum();
     (-radius..=radius).map(|k| weight(k) / total).collect()

@@ -1,7 +1,7 @@
 //! A mesh whose vertices have heights.
 
 use crate::grid::{Grid, Height};
-use crate::mesh::Mesh;
+use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
 use crate::order::insertion_order;
 use crate::predicate::Point;
 use crate::triangle::Location;
@@ -42,6 +42,28 @@ impl Surface {
                 *z = grid.interpolate(*p);
             }
         }
+    }
+
+    /// Some of the triangles, ascending, with what they stand on; and the vertices' numbers in the
+    /// whole, ascending. `number`: that of a triangle of the whole among the members, if it is one.
+    pub fn part(&self, members: &[u32], number: impl Fn(u32) -> Option<u32>) -> (Self, Vec<u32>) {
+        let mesh = &self.mesh;
+        let mut old: Vec<u32> = members.iter().flat_map(|&t| mesh.triangle(t).v).collect();
+        old.sort_unstable();
+        old.dedup();
+        let vertex = |v: u32| old.binary_search(&v).unwrap_or(0) as u32;
+        let twin = |h: u32| {
+            let inside = if h == NONE { None } else { number(triangle_of(h)) };
+            inside.map_or(NONE, |t| half_edge(t, h & 3))
+        };
+        let triangles = members.iter().map(|&t| mesh.triangle(t).renumbered(vertex, twin)).collect();
+        let points = old.iter().map(|&v| mesh.point(v)).collect();
+        let part = Surface {
+            mesh: Mesh::of_parts(points, triangles, mesh.metric()),
+            z: old.iter().map(|&v| self.z[v as usize]).collect(),
+            is_fixed: old.iter().map(|&v| self.is_fixed[v as usize]).collect(),
+        };
+        (part, old)
     }
 
     /// Vertices without data, which are in no output.

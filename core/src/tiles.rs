@@ -104,25 +104,8 @@ pub fn cut(surface: Surface, tiling: &Tiling) -> Result<(Shared, Vec<Tile>)> {
     }
     let mut tiles = Vec::new();
     for (tile, members) in members.into_iter().enumerate().filter(|(_, members)| !members.is_empty()) {
-        let mut old: Vec<u32> = members.iter().flat_map(|&t| mesh.triangle(t).v).collect();
-        old.sort_unstable();
-        old.dedup();
-        let vertex = |v: u32| old.binary_search(&v).unwrap_or(0) as u32;
-        let twin = |h: u32| {
-            let is_inside = h != NONE && tile_of[triangle_of(h) as usize] == tile;
-            if is_inside {
-                half_edge(number[triangle_of(h) as usize], h & 3)
-            } else {
-                NONE
-            }
-        };
-        let triangles = members.iter().map(|&t| mesh.triangle(t).renumbered(vertex, twin)).collect();
-        let points = old.iter().map(|&v| mesh.point(v)).collect();
-        let part = Surface {
-            mesh: Mesh::of_parts(points, triangles, mesh.metric()),
-            z: old.iter().map(|&v| surface.z[v as usize]).collect(),
-            is_fixed: old.iter().map(|&v| surface.is_fixed[v as usize]).collect(),
-        };
+        let within = |t: u32| (tile_of[t as usize] == tile).then(|| number[t as usize]);
+        let (part, old) = surface.part(&members, within);
         let shared = (0..).zip(old).collect();
         tiles.push(Tile {
             number: tile,

@@ -4,7 +4,8 @@
 mod common;
 
 use common::{assert_sound, contains, fingerprint, full, hills, plain, quietly, run, Random, MAX};
-use dem2tin_core::fit::{fit_heights, Blend};
+use dem2tin_core::blend::Blend;
+use dem2tin_core::fit::fit_heights;
 use dem2tin_core::flip::{edges, flip_pass};
 use dem2tin_core::grid::Grid;
 use dem2tin_core::mesh::Mesh;
@@ -12,6 +13,7 @@ use dem2tin_core::moments::{dot, Moments};
 use dem2tin_core::pipeline::Triangulation;
 use dem2tin_core::predicate::{orient2d, Point};
 use dem2tin_core::progress::Progress;
+use dem2tin_core::scale::gaussian;
 use dem2tin_core::sight::Sight;
 use dem2tin_core::surface::Surface;
 use proptest::prelude::*;
@@ -165,16 +167,15 @@ proptest! {
 fn after_refinement(threads: usize) -> (f64, Vec<usize>, Vec<[u32; 3]>, Vec<u64>) {
     let (rows, cols) = (200, 230);
     let (z, done) = refined(rows, cols, 9000, true, 3);
-    let noisy = |i: u64| Random(i).normal();
-    let probe: Vec<f64> = (0..).zip(&z).map(|(i, z)| noisy(i) + 0.0 * z).collect();
-    let [smooth, smooth_probe] = [&z, &probe].map(|z| z.iter().map(|z| 0.9 * z).collect::<Vec<_>>());
     let data = Grid::new(&z, rows, cols).unwrap();
     let mut surface = done.surface;
     let mut quiet = |_: &'static str, _: f64| true;
     let progress = &mut Progress::new(&mut quiet).with_threads(threads);
-    let blend = Blend { data, smooth: &smooth, probe: &probe, smooth_probe: &smooth_probe, noise: 2.0 };
-    let share = blend.fit(&mut surface, progress).unwrap();
+    let sigma = [0.8; 2];
+    let smooth = gaussian(&data, sigma, progress).unwrap();
+    let share = Blend { data, smooth: &smooth, sigma, noise: 0.1 }.share(&surface, progress).unwrap();
     let mut seen = Sight::of(&surface, &data, progress).unwrap();
+    fit_heights(&mut surface, &seen, progress).unwrap();
     let mut open = edges(&surface.mesh);
     let flips = (0..3).map(|_| {
         let flips = flip_pass(&mut surface, &data, &mut seen, &mut open, progress).unwrap();

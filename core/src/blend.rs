@@ -1,0 +1,169 @@
+//! How far a fit should follow the smoothed image rather than the data.
+
+use crate::error::Result;
+use crate::fit::Systems;
+use crate::grid::{Grid, Height};
+use crate::lanes::Vectors;
+use crate::memory;
+use crate::order::scramble;
+use crate::predicate::Point;
+use crate::progress::Progress;
+use crate::scale::{gaussian, reach};
+use crate::sight::{moments_of, stands, Image};
+use crate::surface::Surface;
+use std::ops::Range;
+
+/// A vertex that was placed by looking at the data costs more degrees of freedom
+/// than its height (Friedman 1991 charges 2 to 4 for such a knot).
+const KNOT_COST: f64 = 2.0;
+
+/// Rasters of more than so many pixels are looked at in bands of rows, which have about as many or
+/// this share of all: one number is sought, and they tell it to a few hundredths,
+const ENOUGH_PIXELS: usize = 1 << 18;
+const SHARE: usize = 8;
+/// if they are so many rows high, and so many times as high as a triangle,
+const BAND: usize = 256;
+const TRIANGLES: f64 = 16.0;
+/// and hold so many triangles.
+const ENOUGH_TRIANGLES: usize = 1 << 12;
+
+/// An image that is going to be fitted.
+pub struct Blend<'a, T> {
+    pub data: Grid<'a, T>,
+    /// The same smoothed by `sigma` = [x, y] pixels.
+    pub smooth: &'a [T],
+    pub sigma: [f64; 2],
+    /// Standard deviation of the noise in `data`.
+    pub noise: f64,
+}
+
+impl<T: Height> Blend<'_, T> {
+    /// The share s in [0, 1] of the smoothed image at which the unbiased estimate of the risk
+    /// (Stein 1981) is least. With P the projection onto the surfaces over the mesh, G the
+    /// smoothing and y the data, the fit is P (y - s (y - G y)), and the risk is least
+    /// at s = noise^2 tr(P (I - G)) / |P (I - G) y|^2, the trace estimated as
+    /// p' P (I - G) p with a random p of independent signs (Hutchinson 1989) and charged at the
+    /// cost of knots. Errors: `out-of-memory`, `cancelled`.
+    pub fn share(&self, surface: &Surface, progress: &mut Progress) -> Result<f64> {
+        let bands = bands(self.data.rows(), self.data.cols(), surface.z.len()).into_iter();
+        let parts: Vec<_> = bands.map(|rows| (between(surface, &rows), rows)).collect();
+        let triangles: usize = parts.iter().map(|(part, _)| part.mesh.triangles().len()).sum();
+        let (mut energy, mut trace) = (0.0, 0.0);
+        if triangles < ENOUGH_TRIANGLES {
+            (energy, trace) = self.look_at(0..self.data.rows(), surface, progress)?;
+        } else {
+            for (part, rows) in parts {
+                let (of_part, traced) = self.look_at(rows, &part, progress)?;
+                (energy, trace) = (energy + of_part, trace + traced);
+            }
+        }
+        let share = KNOT_COST * self.noise * self.noise * trace / energy;
+        Ok(if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) })
+    }
+
+    /// |P (I - G) y|^2 and p' P (I - G) p over a surface between some rows.
+    fn look_at(&self, rows: Range<usize>, surface: &Surface, progress: &mut Progress) -> Result<(f64, f64)> {
+        let looked_at = Probed::new(self, rows, progress)?;
+        let stands = stands(surface, &self.data, progress)?;
+        let at = |v: usize| match surface.mesh.point(v as u32).as_pixel() {
+            Some((col, row)) if self.data.is_valid(col, row) => {
+                looked_at.pixels(row, col, col + 1).next().unwrap_or_default()
+            }
+            _ => [stands[v], 0.0, 0.0, 0.0],
+        };
+        let vectors = Vectors::best();
+        let moments = |t: u32| moments_of(surface, t, &looked_at, vectors);
+        let Systems { normal, sides, squares } = Systems::assemble(surface, at, moments, progress)?;
+        let smoothed_away = sides.iter().map(|&[_, data, probe, _]| [data, probe]).collect();
+        let changes = normal.solve(smoothed_away, [squares[1], squares[2]], progress)?;
+        let pairs = || changes.iter().zip(&sides);
+        let energy = pairs().map(|(change, side)| change[0] * side[1]).sum();
+        let trace = pairs().map(|(change, side)| change[1] * side[3]).sum();
+        Ok((energy, trace))
+    }
+}
+
+/// Rows that stand for a raster; none if all have to be looked at.
+fn bands(rows: usize, cols: usize, vertices: usize) -> Vec<Range<usize>> {
+    let triangle = ((rows * cols) as f64 / vertices.max(1) as f64).sqrt();
+    let height = BAND.max((TRIANGLES * triangle) as usize);
+    if rows * cols <= ENOUGH_PIXELS || 2 * height > rows {
+        return Vec::new();
+    }
+    let count = (ENOUGH_PIXELS.max(rows * cols / SHARE) / (height * cols)).max(1);
+    let starts = (0..count).map(|i| (2 * i + 1) * rows / (2 * count) - height / 2);
+    starts.map(|start| start..start + height).collect()
+}
+
+/// The triangles that lie between the first and the last of the rows.
+fn between(surface: &Surface, rows: &Range<usize>) -> Surface {
+    let (first, last) = (Point::pixel(0, rows.start).y, Point::pixel(0, rows.end - 1).y);
+    let mesh = &surface.mesh;
+    let is_between = |&t: &u32| mesh.corners(t).iter().all(|p| (first..=last).contains(&p.y));
+    let members: Vec<u32> = (0..mesh.triangles().len() as u32).filter(is_between).collect();
+    let (part, _) = surface.part(&members, |t| Some(members.binary_search(&t).ok()? as u32));
+    part
+}
+
+/// Rows of an image with a random one beside it.
+struct Probed<'a, T: Height> {
+    blend: &'a Blend<'a, T>,
+    /// Number of the first pixel that `probe` has.
+    first: usize,
+    probe: Vec<T>,
+    smooth_probe: Vec<T>,
+}
+
+impl<'a, T: Height> Probed<'a, T> {
+    fn new(blend: &'a Blend<'a, T>, rows: Range<usize>, progress: &mut Progress) -> Result<Self> {
+        let (cols, beyond) = (blend.data.cols(), reach(blend.sigma[1]));
+        let rows = rows.start.saturating_sub(beyond)..(rows.end + beyond).min(blend.data.rows());
+        let pixels = rows.start * cols..rows.end * cols;
+        memory::ensure(size_of::<T>() * pixels.len())?;
+        let sign = |i: u64| if scramble(i) & 1 == 0 { 1.0 } else { -1.0 };
+        // Void where the data are.
+        let known = pixels.clone().zip(&blend.data.z()[pixels.clone()]);
+        let probe: Vec<T> = known.map(|(i, z)| T::from_f64(sign(i as u64) + 0.0 * z.to_f64())).collect();
+        let grid = Grid::new(&probe, rows.len(), cols)?;
+        let smooth_probe = gaussian(&grid, blend.sigma, progress)?.into_owned();
+        Ok(Probed { blend, first: pixels.start, probe, smooth_probe })
+    }
+}
+
+impl<T: Height> Image<4> for Probed<'_, T> {
+    /// Of each pixel its height, what smoothing removes of it and of the probe, and the probe.
+    #[inline(always)]
+    fn pixels(&self, row: usize, first: usize, end: usize) -> impl ExactSizeIterator<Item = [f64; 4]> {
+        let start = row * self.blend.data.cols();
+        let pixels = start + first..start + end;
+        let held = pixels.start - self.first..pixels.end - self.first;
+        let data = self.blend.data.z()[pixels.clone()].iter().zip(&self.blend.smooth[pixels]);
+        let probe = self.probe[held.clone()].iter().zip(&self.smooth_probe[held]);
+        data.zip(probe).map(|((height, smooth), (probe, smooth_probe))| {
+            let [height, probe] = [height, probe].map(|value| value.to_f64());
+            [height, height - smooth.to_f64(), probe - smooth_probe.to_f64(), probe]
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bands_are_apart_and_within_the_raster() {
+        for (rows, cols, vertices) in
+            [(1025, 4096, 40_000), (4096, 4096, 9000), (10812, 10812, 900_000), (600, 60000, 400_000)]
+        {
+            let bands = bands(rows, cols, vertices);
+            assert!(
+                bands.last().is_some_and(|band| band.end <= rows)
+                    && bands.iter().all(|band| band.len() >= BAND)
+            );
+            assert!(bands.windows(2).all(|pair| pair[0].end <= pair[1].start));
+            let pixels = bands.iter().map(|band| band.len()).sum::<usize>() * cols;
+            assert!(pixels >= ENOUGH_PIXELS / 2, "{rows} {cols}: {pixels}");
+        }
+        assert!(bands(512, 512, 50_000).is_empty() && bands(10812, 10812, 900).is_empty());
+    }
+}
