@@ -83,7 +83,10 @@ pub struct Queue {
     open: BinaryHeap<Candidate>,
     /// A local queue's open bucket, the next entry last.
     batch: Vec<Candidate>,
+    /// The buckets; none before the first entry comes to wait.
     waiting: Vec<Vec<Candidate>>,
+    /// More that wait, by rising buckets.
+    parked: Vec<Candidate>,
     /// Number of the lowest bucket, known from the first priority on.
     lowest: Option<usize>,
     /// The open bucket; entries at or above it do not wait.
@@ -99,23 +102,63 @@ const LAST_SHARE: usize = 4;
 impl Queue {
     /// `local`: pixel numbers from one row to the next if the queue is to be local.
     pub fn new(local: Option<u32>) -> Self {
-        let waiting = vec![Vec::new(); BUCKETS];
-        Queue { open: BinaryHeap::new(), batch: Vec::new(), waiting, lowest: None, level: BUCKETS, local }
+        Queue {
+            open: BinaryHeap::new(),
+            batch: Vec::new(),
+            waiting: Vec::new(),
+            parked: Vec::new(),
+            lowest: None,
+            level: BUCKETS,
+            local,
+        }
     }
 
-    /// How many candidates wait at about which priority. Stale ones count, too: see
-    /// [`Queue::retain`].
+    /// How many candidates wait at about which priority, once they are parked.
     pub fn waiting(&self) -> Vec<(f64, usize)> {
-        let open = self.open.iter().chain(&self.batch).map(|c| (c.priority, 1));
-        let lists = self.waiting.iter().flat_map(|list| {
+        let bucket = |c: &Candidate| c.priority.to_bits() >> BUCKET_SHIFT;
+        let buckets = self.parked.chunk_by(|a, b| bucket(a) == bucket(b));
+        pooled(buckets.flat_map(|bucket| {
             let mut bins = [(0.0, 0); BINS];
-            for candidate in list {
+            for candidate in bucket {
                 let bin = &mut bins[(candidate.priority.to_bits() >> BIN_SHIFT) as usize % BINS];
                 *bin = (bin.0 + candidate.priority, bin.1 + 1);
             }
             bins.into_iter().filter(|bin| bin.1 > 0).map(|(sum, count)| (sum / count as f64, count))
-        });
-        pooled(open.chain(lists))
+        }))
+    }
+
+    /// Drops the entries that are not wanted, and has the others wait in no more memory than they need.
+    pub fn park(&mut self, is_wanted: impl Fn(&Candidate) -> bool) {
+        self.level = BUCKETS;
+        let open = std::mem::take(&mut self.open).into_iter().chain(std::mem::take(&mut self.batch));
+        open.for_each(|candidate| self.push(candidate));
+        let count = self.parked.len() + self.waiting.iter().map(Vec::len).sum::<usize>();
+        let mut parked = std::mem::take(&mut self.parked).into_iter().filter(&is_wanted).peekable();
+        let mut all = Vec::with_capacity(count);
+        for (number, bucket) in std::mem::take(&mut self.waiting).into_iter().enumerate() {
+            while let Some(candidate) = parked.next_if(|c| self.bucket(c.priority) <= number) {
+                all.push(candidate);
+            }
+            all.extend(bucket.into_iter().filter(&is_wanted));
+        }
+        all.extend(parked);
+        all.shrink_to_fit();
+        self.parked = all;
+    }
+
+    /// Has all parked entries scanned again when it is their turn; gives `each` of them.
+    pub fn rescan(&mut self, mut each: impl FnMut(&Candidate)) {
+        for candidate in &mut self.parked {
+            each(candidate);
+            candidate.pick = Pick::RESCAN;
+        }
+    }
+
+    /// Number of the bucket of a priority, once the first is known.
+    #[inline]
+    fn bucket(&self, priority: f64) -> usize {
+        let number = (priority.to_bits() >> BUCKET_SHIFT) as usize;
+        number.saturating_sub(self.lowest.unwrap_or(0)).min(BUCKETS - 1)
     }
 
     /// The highest priority among those that `is_current` accepts.
@@ -124,35 +167,27 @@ impl Queue {
         self.open.peek().map(|candidate| candidate.priority)
     }
 
-    /// Has all triangles scanned again when it is their turn; gives `each` of them.
-    pub fn rescan(&mut self, mut each: impl FnMut(&Candidate)) {
-        let all = std::mem::replace(self, Queue::new(self.local));
-        for candidate in all.open.into_iter().chain(all.batch).chain(all.waiting.into_iter().flatten()) {
-            each(&candidate);
-            self.push(Candidate { pick: Pick::RESCAN, ..candidate });
-        }
-    }
-
-    /// Drops the other entries.
-    pub fn retain(&mut self, is_wanted: impl Fn(&Candidate) -> bool) {
-        self.open.retain(&is_wanted);
-        for list in self.waiting.iter_mut().chain([&mut self.batch]) {
-            list.retain(&is_wanted);
-        }
-    }
-
-    /// Gives back memory that is not in use.
-    pub fn shrink(&mut self) {
-        self.open.shrink_to_fit();
-        self.waiting.iter_mut().chain([&mut self.batch]).for_each(Vec::shrink_to_fit);
+    /// The bucket of the largest priorities that wait, which becomes the open one.
+    fn next_bucket(&mut self) -> Option<Vec<Candidate>> {
+        let last = self.waiting.len().min(self.level);
+        let waiting = self.waiting[..last].iter().rposition(|bucket| !bucket.is_empty());
+        let parked = self.parked.last().map(|c| self.bucket(c.priority));
+        self.level = waiting.max(parked)?;
+        let mut bucket = self.waiting.get_mut(self.level).map(std::mem::take).unwrap_or_default();
+        let rest = self.parked.partition_point(|c| self.bucket(c.priority) < self.level);
+        bucket.extend(self.parked.drain(rest..));
+        Some(bucket)
     }
 
     /// `candidate.priority` must be 0 or more.
     #[inline]
     pub fn push(&mut self, candidate: Candidate) {
-        let number = (candidate.priority.to_bits() >> BUCKET_SHIFT) as usize;
-        let lowest = *self.lowest.get_or_insert(number.saturating_sub(BUCKETS / 2));
-        let bucket = number.saturating_sub(lowest).min(BUCKETS - 1);
+        if self.waiting.is_empty() {
+            let number = (candidate.priority.to_bits() >> BUCKET_SHIFT) as usize;
+            self.lowest.get_or_insert(number.saturating_sub(BUCKETS / 2));
+            self.waiting = vec![Vec::new(); BUCKETS];
+        }
+        let bucket = self.bucket(candidate.priority);
         if bucket < self.level {
             self.waiting[bucket].push(candidate);
         } else if self.local.is_some() {
@@ -185,8 +220,7 @@ impl Queue {
                     return None;
                 }
             }
-            self.level = self.waiting[..self.level].iter().rposition(|bucket| !bucket.is_empty())?;
-            let mut bucket = std::mem::take(&mut self.waiting[self.level]);
+            let mut bucket = self.next_bucket()?;
             bucket.retain(&is_current);
             match self.local {
                 Some(stride) if bucket.len() < remaining / LAST_SHARE => {

@@ -157,7 +157,7 @@ impl Refiner {
         rule: &Rule,
         progress: &mut Progress,
     ) -> Result<()> {
-        self.drop_stale();
+        self.park();
         let mut is_new = vec![true; self.surface.mesh.triangles().len()];
         self.queue.rescan(|c| is_new[c.triangle as usize] = false);
         self.enqueue_those(&is_new, grid, patch, rule, progress)
@@ -180,7 +180,7 @@ impl Refiner {
             .collect();
         self.ranker.is_sampling = false;
         self.queue
-            .retain(|c| mesh.triangle(c.triangle).version == c.version && !is_sampled[c.triangle as usize]);
+            .park(|c| mesh.triangle(c.triangle).version == c.version && !is_sampled[c.triangle as usize]);
         self.enqueue_those(&is_sampled, grid, patch, rule, progress)
     }
 
@@ -223,21 +223,20 @@ impl Refiner {
         Ok(Reached::Points)
     }
 
-    /// How many candidates wait at about which priority; exact after [`Refiner::compact`].
+    /// How many candidates wait at about which priority, after [`Refiner::compact`].
     pub fn waiting(&self) -> Vec<(f64, usize)> {
         self.queue.waiting()
     }
 
     /// Gives back memory that is not in use.
     pub fn compact(&mut self) {
-        self.drop_stale();
-        self.queue.shrink();
+        self.park();
         self.ranker.compact();
     }
 
-    fn drop_stale(&mut self) {
+    fn park(&mut self) {
         let mesh = &self.surface.mesh;
-        self.queue.retain(|c| mesh.triangle(c.triangle).version == c.version);
+        self.queue.park(|c| mesh.triangle(c.triangle).version == c.version);
     }
 
     /// The highest priority that waits.
