@@ -10,7 +10,7 @@ use crate::grid::{largest, Grid, Height};
 use crate::ladder::{End, Refinement};
 use crate::measure::count_covered;
 use crate::memory;
-use crate::mesh::Mesh;
+use crate::mesh::{triangle_of, Mesh};
 use crate::noise::{noise, spikes, MAX_SAMPLES};
 use crate::order::by_place;
 use crate::outline::Shape;
@@ -192,7 +192,9 @@ pub fn triangulate<T: Height>(
     if tiling.count() > 1 && (bounded || options.rule.is_max()) {
         // Pixels on seams were no candidates, also where a seam runs along another constraint.
         let mesh = &surface.mesh;
-        touched.extend((0..mesh.triangles().len() as u32).filter(|&t| tiling.is_on_seam(mesh.corners(t))));
+        let ends = |h: u32| [mesh.origin(h), mesh.dest(h)].map(|v| mesh.point(v));
+        let along = mesh.half_edges().filter(|&h| mesh.is_constrained(h) && tiling.has_on_seam(ends(h)));
+        touched.extend(along.map(triangle_of));
         touched.sort_unstable();
         touched.dedup();
         // All points are used up if it is them that end the refinement.

@@ -46,19 +46,12 @@ impl Tiling {
         part(&self.rows, pixel(a.y, b.y, c.y)) * (self.columns.len() - 1) + i
     }
 
-    /// Whether a triangle has more than a corner on a seam, or on what would be one if nothing lay
-    /// there.
-    pub fn is_on_seam(&self, p: [Point; 3]) -> bool {
-        let has_part = |cuts: &[usize], mut at: [i32; 3]| {
-            at.sort_unstable();
-            let [low, middle, high] = at;
-            let position = |&cut: &usize| Point::pixel(cut, 0).x;
-            let inner = &cuts[1..cuts.len() - 1];
-            let crosses = |cut: i32| low < cut && cut < high || middle == cut && (low == cut || high == cut);
-            let first = inner.partition_point(|cut| position(cut) < low);
-            inner[first..].iter().map(position).take_while(|&cut| cut <= high).any(crosses)
+    /// Whether an edge runs along a seam, or along what would be one if nothing lay there.
+    pub fn has_on_seam(&self, [a, b]: [Point; 2]) -> bool {
+        let is_inner = |cuts: &[usize], at: i32| {
+            cuts[1..cuts.len() - 1].binary_search_by_key(&at, |&cut| Point::pixel(cut, 0).x).is_ok()
         };
-        has_part(&self.columns, p.map(|p| p.x)) || has_part(&self.rows, p.map(|p| p.y))
+        a.x == b.x && is_inner(&self.columns, a.x) || a.y == b.y && is_inner(&self.rows, a.y)
     }
 
     /// The seams, as the points where they start, meet and end.
@@ -111,17 +104,12 @@ mod tests {
     }
 
     #[test]
-    fn a_corner_alone_is_no_part_on_a_seam() {
+    fn edges_run_along_seams_or_across_them() {
         let tiling = Tiling::new(40, 40, 10);
-        let is_on_seam =
-            |p: [(usize, usize); 3]| tiling.is_on_seam(p.map(|(col, row)| Point::pixel(col, row)));
-        assert!(is_on_seam([(10, 1), (10, 5), (12, 3)]));
-        assert!(is_on_seam([(1, 20), (5, 20), (3, 18)]));
-        assert!(is_on_seam([(8, 1), (12, 2), (9, 4)]));
-        assert!(is_on_seam([(10, 3), (21, 2), (15, 7)]));
-        assert!(!is_on_seam([(10, 3), (14, 2), (15, 7)]));
-        assert!(!is_on_seam([(10, 3), (14, 2), (20, 7)]));
-        assert!(!is_on_seam([(0, 3), (0, 7), (4, 2)]));
+        let has = |p: [(usize, usize); 2]| tiling.has_on_seam(p.map(|(col, row)| Point::pixel(col, row)));
+        assert!(has([(10, 1), (10, 5)]) && has([(5, 20), (1, 20)]));
+        assert!(!has([(8, 1), (12, 1)]) && !has([(10, 3), (20, 4)]) && !has([(9, 3), (9, 7)]));
+        assert!(!has([(0, 3), (0, 7)]) && !has([(39, 3), (39, 7)]));
     }
 
     #[test]
