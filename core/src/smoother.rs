@@ -107,9 +107,11 @@ impl<'g, T: Height> Smoother<'g, T> {
             for (into, &sum) in into.iter_mut().zip(&*sum) {
                 *into = T::from_f64(sum);
             }
-            row_mass[within].fill(1.0);
             cut_off.extend(columns.start..columns.end.min(rx));
             cut_off.extend(columns.start.max(rx).max(grid.cols().saturating_sub(rx))..columns.end);
+            if !cut_off.is_empty() {
+                row_mass[within].fill(1.0);
+            }
         } else {
             sum_known(grid, row, seen, ky, [&mut row_mass[within.clone()], &mut row_sum[within]]);
             convolve(row_mass, kx, mass);
