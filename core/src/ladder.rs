@@ -166,8 +166,8 @@ impl Ladder<'_> {
         let mut last: Option<(usize, Vec<Waiting>)> = None;
         let stop = loop {
             let count = self.count();
-            let repair = if image.rule.is_max() { REPAIR * self.seams.count() as f64 } else { 0.0 };
-            let max_points = max_points.saturating_sub(repair as usize);
+            let repair = if image.rule.is_max() { REPAIR * self.seams.count() as f64 } else { 0.0 } as usize;
+            let max_points = max_points.saturating_sub(repair);
             let (most, before) = (max_points as f64, count as f64);
             if count >= max_points || end == End::Rough && before > NEARLY[0] * most {
                 break Stop::Points;
@@ -190,7 +190,7 @@ impl Ladder<'_> {
                 if self.tiles.iter().any(|tile| !tile.is_ready(is_exact)) {
                     self.descend(image, Rung { is_exact, ..queueing }, no_points(&none), progress)?;
                 }
-                break self.go_singly(image, max_points, progress)?;
+                break self.go_singly(image, max_points, repair / 2, progress)?;
             };
             if self.tiles.iter().all(|tile| tile.is_ready(false))
                 && !waiting.iter().flatten().any(|&(priority, _)| priority > 0.0)
@@ -216,11 +216,13 @@ impl Ladder<'_> {
         Ok(stop)
     }
 
-    /// Inserts one candidate at a time, the most urgent of all tiles, until there are `max_points`.
+    /// Inserts one candidate at a time, the most urgent of all tiles, until there are `max_points`;
+    /// up to so many `more` where the last ones have uncovered what is more urgent than they were.
     fn go_singly<T: Height>(
         &mut self,
         Image { grid, rule }: Image<T>,
         max_points: usize,
+        more: usize,
         progress: &mut Progress,
     ) -> Result<Stop> {
         let first = self.count();
@@ -230,8 +232,12 @@ impl Ladder<'_> {
         let mut tops: BinaryHeap<(u64, Reverse<usize>)> =
             tops.filter_map(|(i, tile)| Some((tile.refiner.top()?.to_bits(), Reverse(i)))).collect();
         let mut patch = Patch::nothing();
-        while count < max_points {
-            let Some((_, Reverse(i))) = tops.pop() else { return Ok(Stop::Tolerance) };
+        let mut level = u64::MAX;
+        while let Some((top, Reverse(i))) = tops.pop() {
+            if count >= max_points + more || count >= max_points && top <= level {
+                return Ok(Stop::Points);
+            }
+            level = level.min(top);
             let tile = &mut self.tiles[i];
             let window = self.tiling.window(tile.number);
             let Queued::Now(frame) = tile.queued else { continue };
@@ -245,9 +251,9 @@ impl Ladder<'_> {
             let work = tile.refiner.step(grid, &mut patch, rule, cut)?;
             count += tile.inserted() - before;
             tops.extend(tile.refiner.top().map(|top| (top.to_bits(), Reverse(i))));
-            progress.poll(work, || (count - first) as f64 / (max_points - first) as f64)?;
+            progress.poll(work, || (count - first) as f64 / (max_points + more - first) as f64)?;
         }
-        Ok(Stop::Points)
+        Ok(Stop::Tolerance)
     }
 
     /// Whether a sample may stand for a triangle of some tile.

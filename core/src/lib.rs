@@ -2,7 +2,7 @@
 //!
 //! Modules, each using only those above it: `predicate`, `grid`, `mesh` (`check`,
 //! `constrain`), `scan`, `lanes`, `patch`, `walk`, `facet`, `noise`, `smoother`, `scale`, `outline`,
-//! `queue`, `rule`, `rank`, `refine`, `tiles`, `outlook`, `ladder`, `sight` (`moments`, `owned`), `fit` (`normal`), `flip`,
+//! `queue`, `rule`, `rank`, `refine`, `tiles`, `outlook`, `ladder`, `sight` (`moments`, `owned`), `fit` (`normal`), `blend`, `flip`,
 //! `pipeline`; `python` is the binding.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]

@@ -269,6 +269,35 @@ mod tests {
         }
 
         #[test]
+        fn parking_changes_nothing(
+            steps in prop::collection::vec((prop_oneof![0.0f64..9.0, Just(0.0), Just(f64::INFINITY), Just(1e-300)], 0u8..4), 0..80),
+        ) {
+            let (mut plain, mut parked) = (Queue::new(None), Queue::new(None));
+            let is_current = |c: &Candidate| c.version == 0;
+            for (i, (priority, step)) in (0..).zip(steps) {
+                let candidate = Candidate { priority, pixel: i, triangle: i, version: i % 3 / 2, pick: Pick::KNOWN };
+                plain.push(candidate);
+                parked.push(candidate);
+                match step {
+                    0 => prop_assert_eq!(plain.pop(usize::MAX, is_current), parked.pop(usize::MAX, is_current)),
+                    1 => {
+                        parked.park(is_current);
+                        let waiting: Vec<_> = parked.waiting();
+                        prop_assert!(waiting.windows(2).all(|pair| pair[0].0 < pair[1].0));
+                        prop_assert_eq!(waiting.iter().map(|w| w.1).sum::<usize>(), parked.parked.len());
+                    }
+                    2 => prop_assert_eq!(plain.top(is_current), parked.top(is_current)),
+                    _ => {}
+                }
+            }
+            loop {
+                let (a, b) = (plain.pop(usize::MAX, is_current), parked.pop(usize::MAX, is_current));
+                prop_assert_eq!(a, b);
+                if a.is_none() { break; }
+            }
+        }
+
+        #[test]
         fn a_local_queue_pops_each_once_and_falls_by_buckets(priorities in prop::collection::vec(0.0f64..100.0, 0..200)) {
             let mut queue = Queue::new(Some(10));
             for (i, &priority) in (0..).zip(&priorities) {

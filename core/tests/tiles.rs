@@ -54,6 +54,20 @@ fn tiles_take_no_more_points_and_are_no_worse() {
 }
 
 #[test]
+fn the_last_points_go_where_the_error_is_largest() {
+    let side = 256;
+    for seed in 1..6 {
+        let z = relief(side, seed);
+        let largest = |tile| {
+            let done = run(&z, side, side, &Options { tile, ..plain(MAX, side * side / 20) }).unwrap();
+            residuals(&done, &z, side).into_iter().fold(0.0, f64::max)
+        };
+        let ratio = largest(85) / largest(0);
+        assert!(ratio < 1.3, "{seed}: {ratio}");
+    }
+}
+
+#[test]
 fn any_number_of_threads_gives_the_same_bytes() {
     let side = 150;
     let mut z = hills(side, side, 3);
