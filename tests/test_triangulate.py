@@ -342,3 +342,10 @@ def test_automatic_stop_is_near_the_best_number_of_points(sigma):
     best = min(rmse(f"{percent}%") for percent in (0.5, 1, 2, 3, 5, 8, 12, 20))
     assert rmse("auto") <= 1.05 * best
     assert tin.triangulate(noisy, max_points="auto").report.stop_reason == "noise"
+
+
+@pytest.mark.parametrize("given", [hills(9, 9), "dem.tif", None])
+def test_what_is_no_dem_is_named_with_what_makes_one(given):
+    with pytest.raises(tin.InputError, match=r"tin\.open") as caught:
+        tin.triangulate(given)
+    assert caught.value.code == "not-a-dem"

@@ -14,12 +14,12 @@ import numpy.typing as npt
 
 from tin import _core, options
 from tin.constraints import constraints
+from tin.dem import DEM
 from tin.errors import InputError, OptionError
 from tin.metrics import Errors, Report
 
 if TYPE_CHECKING:
     from tin.crs import CRS
-    from tin.dem import DEM
 
 Progress = Callable[[str, float], Any]
 """Called with the stage's name and the fraction of it that is done; a false answer cancels the run."""
@@ -242,9 +242,13 @@ def triangulate(
 
     Raises:
         OptionError: "bad-option", "unknown-option".
-        InputError: "too-small", "no-area", "too-large", "clip-outside", and those of ``tin.features``.
+        InputError: "not-a-dem", "too-small", "no-area", "too-large", "clip-outside", and those of
+            ``tin.features``.
         Cancelled: the callback asked to stop.
     """
+    if not isinstance(dem, DEM):
+        kind = type(dem).__name__
+        raise InputError("not-a-dem", f"a {kind} is no DEM: tin.open(path) or tin.DEM(array, ...) makes one")
     start = time.perf_counter()
     arguments = options.core_arguments(keywords, dem)
     followed = constraints(

@@ -163,7 +163,8 @@ impl Queue {
 
     /// The highest priority among those that `is_current` accepts.
     pub fn top(&mut self, is_current: impl Fn(&Candidate) -> bool) -> Option<f64> {
-        self.pop_over(f64::INFINITY, usize::MAX, is_current);
+        // One at a time: in exact order, also of a local queue.
+        self.pop_over(f64::INFINITY, 1, is_current);
         self.open.peek().map(|candidate| candidate.priority)
     }
 
