@@ -2,8 +2,8 @@
 //!
 //! A stop by count has one level for the whole raster, not a density for each tile. What waits
 //! in the tiles says about how many points each will take down to a level; every rung goes to
-//! the level where they add up, and the last ones, for ever fewer points, make up for what
-//! the forecast was off.
+//! the level where they add up, and the next makes up for what the forecast was off. The last
+//! points go in one at a time, by the priorities of all tiles.
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
