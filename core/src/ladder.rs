@@ -7,6 +7,7 @@
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
+use crate::order::by_place;
 use crate::outlook::{share_out, Outlook, Waiting};
 use crate::patch::Patch;
 use crate::predicate::Point;
@@ -16,7 +17,7 @@ use crate::rule::Rule;
 use crate::seams::{SeamPoint, Seams};
 use crate::surface::Surface;
 use crate::threads::spread;
-use crate::tiles::{cut, merge, Queued, Shared, Tile};
+use crate::tiles::{cut, merge, Part, Queued, Shared, Tile};
 use crate::tiling::Tiling;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -108,11 +109,23 @@ impl<'t> Refinement<'t> {
         Ok(Stop::Tolerance)
     }
 
-    /// The surface as it is now, in one piece; seams stay. Errors: `out-of-memory`.
-    pub fn finish(self) -> Result<Surface> {
+    /// The surface as it is now, in one piece; seams stay. `is_ordered`: with triangles and vertices
+    /// numbered by their place, in each tile for itself. Errors: `out-of-memory`, `cancelled`.
+    pub fn finish(self, is_ordered: bool, progress: &mut Progress) -> Result<Surface> {
         match self {
-            Refinement::Whole(refiner) => Ok(refiner.surface),
-            Refinement::Tiled(ladder) => merge(ladder.shared, ladder.tiles),
+            Refinement::Whole(mut refiner) => {
+                if is_ordered {
+                    by_place(&mut refiner.surface, progress)?;
+                }
+                Ok(refiner.surface)
+            }
+            Refinement::Tiled(ladder) => {
+                let mut parts: Vec<Part> = ladder.tiles.into_iter().map(Part::from).collect();
+                if is_ordered {
+                    spread(progress, parts.iter_mut(), |part, progress| part.order(progress))?;
+                }
+                merge(ladder.shared, parts)
+            }
         }
     }
 }

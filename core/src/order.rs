@@ -80,15 +80,15 @@ fn sorted_by_place(mut order: Vec<(u64, u32)>) -> Vec<(u64, u32)> {
 }
 
 /// Sorts the triangles along the curve, and the vertices by the first triangle that
-/// uses them.
-pub fn by_place(surface: &mut Surface, progress: &mut Progress) -> Result<()> {
+/// uses them. Returns the vertices' new numbers. Errors: `out-of-memory`, `cancelled`.
+pub fn by_place(surface: &mut Surface, progress: &mut Progress) -> Result<Vec<u32>> {
     let mesh = &surface.mesh;
     let count = mesh.triangles().len() as u32;
     memory::ensure(80 * mesh.triangles().len() + 48 * mesh.points().len())?;
     let order: Vec<(u64, u32)> = (0..count).map(|t| (place_of(mesh.corners(t)), t)).collect();
-    progress.stage("order")?;
+    progress.check(0.0)?;
     let order = sorted_by_place(order);
-    progress.stage("order")?;
+    progress.check(0.0)?;
     let mut new_triangle = vec![0; count as usize];
     for (new, &(_, old)) in order.iter().enumerate() {
         new_triangle[old as usize] = new as u32;
@@ -120,7 +120,7 @@ pub fn by_place(surface: &mut Surface, progress: &mut Progress) -> Result<()> {
     surface.z = old_vertex.iter().map(|&v| surface.z[v as usize]).collect();
     surface.is_fixed = old_vertex.iter().map(|&v| surface.is_fixed[v as usize]).collect();
     surface.mesh.replace(points, triangles);
-    Ok(())
+    Ok(new_vertex)
 }
 
 #[cfg(test)]

@@ -12,7 +12,6 @@ use crate::measure::count_covered;
 use crate::memory;
 use crate::mesh::{triangle_of, Mesh};
 use crate::noise::{noise, spikes, MAX_SAMPLES};
-use crate::order::by_place;
 use crate::outline::Shape;
 use crate::predicate::Metric;
 use crate::progress::Progress;
@@ -163,7 +162,7 @@ pub fn triangulate<T: Height>(
             finest = gaussian_over(&whole, sigma, finest, progress)?;
             leave_out(&mut finest, &beside);
             if bounded && sigma == [0.0; 2] {
-                surface = refinement.finish()?;
+                surface = refinement.finish(false, progress)?;
                 surface.sample(&data);
                 refinement = Refinement::new(surface, &tiling)?;
             }
@@ -187,7 +186,11 @@ pub fn triangulate<T: Height>(
         let image = Grid::new(&finest, grid.rows(), grid.cols())?;
         stop = refinement.refine(&image, &rule, (limit, end), progress)?;
     }
-    surface = refinement.finish()?;
+    let is_ordered = options.fit || options.flips > 0 || tiling.count() == 1;
+    if is_ordered {
+        progress.stage("order")?;
+    }
+    surface = refinement.finish(is_ordered, progress)?;
     let mut touched = release_seams(&mut surface.mesh);
     if tiling.count() > 1 && (bounded || options.rule.is_max()) {
         // Pixels on seams were no candidates, also where a seam runs along another constraint.
@@ -204,10 +207,6 @@ pub fn triangulate<T: Height>(
         stop = if stop == Stop::Tolerance { repaired } else { stop };
     }
 
-    if options.fit || options.flips > 0 || tiling.count() == 1 {
-        progress.stage("order")?;
-        by_place(&mut surface, progress)?;
-    }
     let (target, seen) = if options.fit {
         let sigma = scales[scales.len() - 1];
         let (target, seen) = fit(&mut surface, &data, finest, noise, sigma, progress)?;

@@ -4,7 +4,9 @@ use crate::error::Result;
 use crate::memory;
 use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
 use crate::patch::Frame;
+use crate::order::by_place;
 use crate::predicate::{orient2d, Metric, Point};
+use crate::progress::Progress;
 use crate::refine::Refiner;
 use crate::seams::SeamPoint;
 use crate::surface::Surface;
@@ -34,6 +36,12 @@ pub enum Queued {
     Before(Frame),
     /// The one that is being refined.
     Now(Frame),
+}
+
+/// What is left of a tile once it is refined.
+pub struct Part {
+    surface: Surface,
+    shared: Vec<(u32, u32)>,
 }
 
 /// What belongs to no tile alone.
@@ -71,6 +79,26 @@ impl Tile {
     /// Notes that vertex `v` is number `whole` of the whole.
     pub fn share(&mut self, v: u32, whole: u32) {
         self.shared.push((v, whole));
+    }
+}
+
+impl From<Tile> for Part {
+    fn from(tile: Tile) -> Self {
+        Part { surface: tile.refiner.surface, shared: tile.shared }
+    }
+}
+
+impl Part {
+    /// Numbers triangles and vertices by their place. Errors: `out-of-memory`, `cancelled`.
+    pub fn order(&mut self, progress: &mut Progress) -> Result<()> {
+        let number = by_place(&mut self.surface, progress)?;
+        self.shared.iter_mut().for_each(|(v, _)| *v = number[*v as usize]);
+        Ok(())
+    }
+
+    /// Vertices that are shared with no other.
+    fn own(&self) -> usize {
+        self.surface.z.len() - self.shared.len()
     }
 }
 
@@ -119,22 +147,21 @@ pub fn cut(surface: Surface, tiling: &Tiling) -> Result<(Shared, Vec<Tile>)> {
     Ok((Shared { points, z: surface.z, is_fixed: surface.is_fixed, metric }, tiles))
 }
 
-/// Puts the tiles together, each given back as soon as it is copied.
+/// Puts the parts together, each given back as soon as it is copied.
 /// Errors: `out-of-memory`.
-pub fn merge(shared: Shared, tiles: Vec<Tile>) -> Result<Surface> {
+pub fn merge(shared: Shared, parts: Vec<Part>) -> Result<Surface> {
     let Shared { mut points, mut z, mut is_fixed, metric } = shared;
-    let vertices = points.len() + tiles.iter().map(Tile::inserted).sum::<usize>();
-    let count = tiles.iter().map(|tile| tile.refiner.surface.mesh.triangles().len()).sum::<usize>();
+    let vertices = points.len() + parts.iter().map(Part::own).sum::<usize>();
+    let count = parts.iter().map(|part| part.surface.mesh.triangles().len()).sum::<usize>();
     memory::ensure(TRIANGLE_BYTES * count)?;
     points.reserve_exact(vertices - points.len());
     z.reserve_exact(vertices - z.len());
     is_fixed.reserve_exact(vertices - is_fixed.len());
     let mut triangles: Vec<Triangle> = Vec::with_capacity(count);
     let mut borders: HashMap<(u32, u32), u32> = HashMap::new();
-    for tile in tiles {
-        let part = tile.refiner.surface;
+    for Part { surface: part, shared } in parts {
         let mut numbers = vec![NONE; part.z.len()];
-        tile.shared.iter().for_each(|&(v, whole)| numbers[v as usize] = whole);
+        shared.iter().for_each(|&(v, whole)| numbers[v as usize] = whole);
         for (v, number) in numbers.iter_mut().enumerate().filter(|(_, number)| **number == NONE) {
             *number = points.len() as u32;
             points.push(part.mesh.point(v as u32));
