@@ -4,7 +4,7 @@ use crate::error::Result;
 use crate::grid::{Grid, Height};
 use crate::lanes::Vectors;
 use crate::memory;
-use crate::mesh::{half_edge, next, prev, triangle_of, Mesh, NONE};
+use crate::mesh::{next, prev, triangle_of, Mesh, NONE};
 use crate::moments::{Moments, SquaredErrors};
 use crate::owned::{for_each_span, is_first, owns_edge};
 use crate::predicate::{orient2d, Point, UNIT};
@@ -20,30 +20,30 @@ const ROUNDING: f64 = 1e-13;
 /// Edges that are looked at together, and of which the best are flipped first: those of one place.
 const CHUNK: usize = 1 << 12;
 
-/// All edges with two sides, as the lower of their half-edges, ascending.
-pub fn edges(mesh: &Mesh) -> Vec<u32> {
-    let lower = |h: &u32| *h < mesh.twin(*h) && mesh.twin(*h) != NONE;
-    (0..mesh.triangles().len() as u32).flat_map(sides).filter(lower).collect()
+/// The edges with two sides of the marked triangles, as the lower of their half-edges, ascending.
+fn edges(mesh: &Mesh, is_marked: &[bool]) -> Vec<u32> {
+    let is_edge = |&h: &u32| {
+        let twin = mesh.twin(h);
+        h < twin && twin != NONE && [h, twin].iter().any(|&h| is_marked[triangle_of(h) as usize])
+    };
+    mesh.half_edges().filter(is_edge).collect()
 }
 
-fn sides(t: u32) -> [u32; 3] {
-    [0, 1, 2].map(|k| half_edge(t, k))
-}
-
-/// Looks at every one of the `open` edges, and flips those that are not constrained and whose
+/// Looks at every edge of the triangles that are open, and flips those that are not constrained and whose
 /// flip lowers the sum of squared errors against `target`, the best first; where the flip of a
 /// neighbour was better, the edge is looked at once more. `seen` is what the mesh sees of `target`, and
-/// stays so. Returns the number of flips, and in `open` the edges whose triangles have changed;
+/// stays so. Returns the number of flips, and marks the triangles that have changed as open, no others;
 /// the mesh is then no longer Delaunay. Errors: `out-of-memory`, `cancelled`.
 pub fn flip_pass<T: Height>(
     surface: &mut Surface,
     target: &Grid<T>,
     seen: &mut Sight,
-    open: &mut Vec<u32>,
+    is_open: &mut [bool],
     progress: &mut Progress,
 ) -> Result<usize> {
     let count = surface.mesh.triangles().len();
     memory::ensure(32 * count)?;
+    let mut open = edges(&surface.mesh, is_open);
     let errors = spread(progress, chunks(count), |chunk, progress| {
         progress.poll(16 * chunk.len(), || 0.0)?;
         Ok(chunk.map(|t| error_of(surface, t as u32, &seen.triangles[t])).collect::<Vec<_>>())
@@ -73,10 +73,8 @@ pub fn flip_pass<T: Height>(
         }
         changed[first..].iter().for_each(|&t| is_new[t as usize] = false);
     }
-    let lower = |h: u32| h.min(surface.mesh.twin(h));
-    open.extend(changed.iter().flat_map(|&t| sides(t)).map(lower));
-    open.sort_unstable();
-    open.dedup();
+    is_open.fill(false);
+    changed.iter().for_each(|&t| is_open[t as usize] = true);
     Ok(changed.len() / 2)
 }
 

@@ -5,7 +5,7 @@ use crate::blend::Blend;
 use crate::domain::{domain, Constraints};
 use crate::error::{Error, Result};
 use crate::fit::fit_heights;
-use crate::flip::{edges, flip_pass};
+use crate::flip::flip_pass;
 use crate::grid::{largest, Grid, Height};
 use crate::ladder::{End, Refinement};
 use crate::measure::count_covered;
@@ -340,7 +340,7 @@ fn flip<T: Height>(
         Some(seen) => seen,
         None => Sight::of(surface, target, progress)?,
     };
-    let mut open = edges(&surface.mesh);
+    let mut open = vec![true; surface.mesh.triangles().len()];
     for round in 0..options.flips {
         if flip_pass(surface, target, &mut seen, &mut open, progress)? == 0 {
             return Ok(round == 0);

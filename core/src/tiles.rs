@@ -3,8 +3,8 @@
 use crate::error::Result;
 use crate::memory;
 use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
-use crate::patch::Frame;
 use crate::order::by_place;
+use crate::patch::Frame;
 use crate::predicate::{orient2d, Metric, Point};
 use crate::progress::Progress;
 use crate::refine::Refiner;
