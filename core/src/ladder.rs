@@ -345,6 +345,7 @@ impl Tile {
             Queued::Before(frame) => Patch::again(grid, window, frame),
             Queued::Now(frame) => Patch::framed(grid, window, frame),
         }?;
+        self.refiner.surface.mesh.warm();
         self.refiner.exclude_vertices(&mut patch);
         tiling.on_seams(window).for_each(|p| patch.exclude(p));
         if let Queued::Before(_) = self.queued {
