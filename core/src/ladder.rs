@@ -37,14 +37,14 @@ pub enum End {
 const CLOSE: f64 = 0.85;
 
 /// A rung that would take less than this share of what is left does not pay.
-const WORTH: f64 = 0.3;
+const WORTH: f64 = 0.5;
 
 /// How much a rung may multiply the points.
 const GROWTH: f64 = 20.0;
 
 /// Before the last rung a tile that takes more than expected must leave something for
 /// errors that turn up elsewhere: all of them take at most this share of what is left.
-const MOST_LEFT: f64 = 0.75;
+const MOST_LEFT: f64 = 0.9;
 
 /// How many times the points it is expected to need a tile may take on a rung.
 const ROOM: f64 = 2.0;
@@ -222,7 +222,7 @@ impl Ladder<'_> {
             };
             let rung = Rung { level, rooms: &share_out(room, &needs), is_exact };
             self.descend(image, rung, points, progress)?;
-            outlook.learn((self.count() - count) as f64 / wanted);
+            outlook.learn(&waiting, level, (self.count() - count) as f64);
             last = Some((count, waiting));
         };
         self.outlook = Some(outlook);

@@ -14,12 +14,17 @@ const FARTHEST: f64 = 64.0;
 const LEAST_SHARE: f64 = 0.5;
 const LARGEST_SHARE: f64 = 64.0;
 
+/// Where this many points go into a triangle over the level it is the steepness that they tell of.
+const MANY: f64 = 2.0;
+const STEEPNESS: [f64; 2] = [0.5, 4.0];
+
 /// Levels are told apart by less than a thousandth, over 128 octaves.
 const STEPS_AN_OCTAVE: f64 = 1024.0;
 const MOST_STEPS: u32 = 128 << 10;
 
 /// How many points a triangle is going to need until its priority is down at a level:
 /// share (priority / level)^steepness.
+#[derive(Clone, Copy)]
 pub struct Outlook {
     steepness: f64,
     share: f64,
@@ -30,7 +35,7 @@ impl Outlook {
         // Errors fall with this power of the area; the weight adds its own.
         const ROUGHNESS: f64 = 0.6;
         Outlook {
-            steepness: (1.0 / (ROUGHNESS + rule.weight)).clamp(0.5, 4.0),
+            steepness: (1.0 / (ROUGHNESS + rule.weight)).clamp(STEEPNESS[0], STEEPNESS[1]),
             share: (1.0 / rule.candidate).min(LARGEST_SHARE),
         }
     }
@@ -66,9 +71,21 @@ impl Outlook {
         level(first)
     }
 
-    /// Takes in how many times the points expected it took.
-    pub fn learn(&mut self, ratio: f64) {
-        self.share = (self.share * ratio.clamp(0.25, 4.0)).clamp(LEAST_SHARE, LARGEST_SHARE);
+    /// Takes in how many points it `took` from what was waiting down to the level.
+    pub fn learn(&mut self, waiting: &[Waiting], level: f64, took: f64) {
+        let all = [pooled(waiting.iter().flatten().copied())];
+        let expected = |steepness| Outlook { steepness, ..*self }.needs(&all, level)[0];
+        if took > MANY * expected(0.0) {
+            let [mut low, mut high] = STEEPNESS;
+            for _ in 0..20 {
+                let middle = low.midpoint(high);
+                *(if expected(middle) < took { &mut low } else { &mut high }) = middle;
+            }
+            self.steepness = high;
+        } else {
+            let ratio = took / expected(self.steepness);
+            self.share = (self.share * ratio.clamp(0.25, 4.0)).clamp(LEAST_SHARE, LARGEST_SHARE);
+        }
     }
 }
 
@@ -87,6 +104,18 @@ pub fn share_out(all: usize, needs: &[f64]) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_was_learnt_is_what_it_took() {
+        let waiting = [vec![(9.0, 50), (3.0, 20)], vec![(5.0, 30)]];
+        let rule = Rule { priority: 1.0, weight: 0.0, candidate: 1.0, tolerance: 0.0, bound: 1.0 };
+        for (level, took) in [(1.0, 900.0), (1.0, 4000.0), (4.0, 150.0), (4.0, 250.0), (8.0, 90.0)] {
+            let mut outlook = Outlook::new(&rule);
+            outlook.learn(&waiting, level, took);
+            let again: f64 = outlook.needs(&waiting, level).iter().sum();
+            assert!((again - took).abs() < 1e-3 * took, "{level}: {again} for {took}");
+        }
+    }
 
     #[test]
     fn shares_add_up() {
