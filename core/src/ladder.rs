@@ -109,22 +109,23 @@ impl<'t> Refinement<'t> {
         Ok(Stop::Tolerance)
     }
 
-    /// The surface as it is now, in one piece; seams stay. `is_ordered`: with triangles and vertices
-    /// numbered by their place, in each tile for itself. Errors: `out-of-memory`, `cancelled`.
-    pub fn finish(self, is_ordered: bool, progress: &mut Progress) -> Result<Surface> {
+    /// The surface as it is now, in one piece, and the edges where tiles meet; seams stay. `is_ordered`:
+    /// with triangles and vertices numbered by their place, in each tile for itself. Errors:
+    /// `out-of-memory`, `cancelled`.
+    pub fn finish(self, is_ordered: bool, progress: &mut Progress) -> Result<(Surface, Vec<u32>)> {
         match self {
             Refinement::Whole(mut refiner) => {
                 if is_ordered {
                     by_place(&mut refiner.surface, progress)?;
                 }
-                Ok(refiner.surface)
+                Ok((refiner.surface, Vec::new()))
             }
             Refinement::Tiled(ladder) => {
                 let mut parts: Vec<Part> = ladder.tiles.into_iter().map(Part::from).collect();
                 if is_ordered {
                     spread(progress, parts.iter_mut(), |part, progress| part.order(progress))?;
                 }
-                merge(ladder.shared, parts)
+                merge(ladder.shared, parts, progress)
             }
         }
     }

@@ -162,7 +162,7 @@ pub fn triangulate<T: Height>(
             finest = gaussian_over(&whole, sigma, finest, progress)?;
             leave_out(&mut finest, &beside);
             if bounded && sigma == [0.0; 2] {
-                surface = refinement.finish(false, progress)?;
+                (surface, _) = refinement.finish(false, progress)?;
                 surface.sample(&data);
                 refinement = Refinement::new(surface, &tiling)?;
             }
@@ -190,14 +190,14 @@ pub fn triangulate<T: Height>(
     if is_ordered {
         progress.stage("order")?;
     }
-    surface = refinement.finish(is_ordered, progress)?;
-    let mut touched = release_seams(&mut surface.mesh);
+    let seams;
+    (surface, seams) = refinement.finish(is_ordered, progress)?;
+    // Pixels on seams were no candidates, also where a seam runs along another constraint.
+    let is_other = |&h: &u32| !surface.mesh.triangle(triangle_of(h)).is_seam((h & 3) as usize);
+    let others: Vec<u32> = seams.iter().copied().filter(is_other).map(triangle_of).collect();
+    let mut touched = release_seams(&mut surface.mesh, seams);
     if tiling.count() > 1 && (bounded || options.rule.is_max()) {
-        // Pixels on seams were no candidates, also where a seam runs along another constraint.
-        let mesh = &surface.mesh;
-        let ends = |h: u32| [mesh.origin(h), mesh.dest(h)].map(|v| mesh.point(v));
-        let along = mesh.half_edges().filter(|&h| mesh.is_constrained(h) && tiling.has_on_seam(ends(h)));
-        touched.extend(along.map(triangle_of));
+        touched.extend(others);
         touched.sort_unstable();
         touched.dedup();
         // All points are used up if it is them that end the refinement.

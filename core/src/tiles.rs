@@ -10,6 +10,7 @@ use crate::progress::Progress;
 use crate::refine::Refiner;
 use crate::seams::SeamPoint;
 use crate::surface::Surface;
+use crate::threads::spread;
 use crate::tiling::Tiling;
 use crate::triangle::{Location, Triangle};
 use std::collections::HashMap;
@@ -147,59 +148,90 @@ pub fn cut(surface: Surface, tiling: &Tiling) -> Result<(Shared, Vec<Tile>)> {
     Ok((Shared { points, z: surface.z, is_fixed: surface.is_fixed, metric }, tiles))
 }
 
-/// Puts the parts together, each given back as soon as it is copied.
-/// Errors: `out-of-memory`.
-pub fn merge(shared: Shared, parts: Vec<Part>) -> Result<Surface> {
-    let Shared { mut points, mut z, mut is_fixed, metric } = shared;
-    let vertices = points.len() + parts.iter().map(Part::own).sum::<usize>();
-    let count = parts.iter().map(|part| part.surface.mesh.triangles().len()).sum::<usize>();
-    memory::ensure(TRIANGLE_BYTES * count)?;
-    points.reserve_exact(vertices - points.len());
-    z.reserve_exact(vertices - z.len());
-    is_fixed.reserve_exact(vertices - is_fixed.len());
-    let mut triangles: Vec<Triangle> = Vec::with_capacity(count);
-    let mut borders: HashMap<(u32, u32), u32> = HashMap::new();
-    for Part { surface: part, shared } in parts {
-        let mut numbers = vec![NONE; part.z.len()];
-        shared.iter().for_each(|&(v, whole)| numbers[v as usize] = whole);
-        for (v, number) in numbers.iter_mut().enumerate().filter(|(_, number)| **number == NONE) {
-            *number = points.len() as u32;
-            points.push(part.mesh.point(v as u32));
-            z.push(part.z[v]);
-            is_fixed.push(part.is_fixed[v]);
-        }
-        let first = triangles.len() as u32;
-        let twin = |h: u32| if h == NONE { NONE } else { h + (first << 2) };
-        let start = triangles.len();
-        let renumbered = part.mesh.triangles().iter().map(|t| t.renumbered(|v| numbers[v as usize], twin));
-        triangles.extend(renumbered);
-        for t in start..triangles.len() {
-            for k in 0..3 {
-                if triangles[t].twin[k] != NONE {
-                    continue;
-                }
-                let (a, b) = (triangles[t].v[k], triangles[t].v[(k + 1) % 3]);
-                let h = half_edge(t as u32, k as u32);
-                match borders.remove(&(b, a)) {
-                    Some(g) => {
-                        triangles[t].twin[k] = g;
-                        triangles[triangle_of(g) as usize].twin[(g & 3) as usize] = h;
-                    }
-                    None => {
-                        borders.insert((a, b), h);
-                    }
-                }
-            }
-        }
-    }
-    Ok(Surface { mesh: Mesh::of_parts(points, triangles, metric), z, is_fixed })
+/// A part, and where its triangles and its own vertices are to lie in the whole.
+struct Place<'w> {
+    part: Part,
+    first_triangle: u32,
+    triangles: &'w mut [Triangle],
+    first_vertex: u32,
+    points: &'w mut [Point],
+    z: &'w mut [f64],
+    is_fixed: &'w mut [bool],
 }
 
-/// Makes ordinary edges of the seams, and the mesh Delaunay again; returns the triangles
-/// that touch a former seam or have changed.
-pub fn release_seams(mesh: &mut Mesh) -> Vec<u32> {
-    let is_seam = |h: &u32| mesh.triangle(triangle_of(*h)).is_seam((*h & 3) as usize);
-    let seams: Vec<u32> = mesh.half_edges().filter(is_seam).collect();
+impl Place<'_> {
+    /// Puts the part there, and returns its edges without a twin with their ends.
+    fn fill(self) -> Vec<([u32; 2], u32)> {
+        let Part { surface: Surface { mesh, z, is_fixed }, shared } = self.part;
+        let mut numbers = vec![NONE; z.len()];
+        shared.iter().for_each(|&(v, whole)| numbers[v as usize] = whole);
+        let own = (0..z.len()).filter(|&v| numbers[v] == NONE).collect::<Vec<_>>();
+        for (i, v) in own.into_iter().enumerate() {
+            numbers[v] = self.first_vertex + i as u32;
+            self.points[i] = mesh.point(v as u32);
+            (self.z[i], self.is_fixed[i]) = (z[v], is_fixed[v]);
+        }
+        let mut open = Vec::new();
+        let twin = |h: u32| if h == NONE { NONE } else { h + half_edge(self.first_triangle, 0) };
+        for ((t, into), triangle) in (self.first_triangle..).zip(self.triangles).zip(mesh.triangles()) {
+            *into = triangle.renumbered(|v| numbers[v as usize], twin);
+            for k in (0..3).filter(|&k| into.twin[k] == NONE) {
+                open.push(([into.v[k], into.v[(k + 1) % 3]], half_edge(t, k as u32)));
+            }
+        }
+        open
+    }
+}
+
+/// Puts the parts together, each given back as soon as it is copied; and returns all edges at which
+/// they meet, both sides of each. Errors: `out-of-memory`, `cancelled`.
+pub fn merge(shared: Shared, parts: Vec<Part>, progress: &mut Progress) -> Result<(Surface, Vec<u32>)> {
+    let Shared { mut points, mut z, mut is_fixed, metric } = shared;
+    let known = points.len();
+    let vertices = known + parts.iter().map(Part::own).sum::<usize>();
+    let count = parts.iter().map(|part| part.surface.mesh.triangles().len()).sum::<usize>();
+    memory::ensure(TRIANGLE_BYTES * count)?;
+    points.resize(vertices, Point::pixel(0, 0));
+    z.resize(vertices, f64::NAN);
+    is_fixed.resize(vertices, false);
+    let mut triangles = vec![Triangle::new([NONE; 3], 0); count];
+    let mut places = Vec::with_capacity(parts.len());
+    let mut rest = (&mut triangles[..], &mut points[known..], &mut z[known..], &mut is_fixed[known..]);
+    for part in parts {
+        let (size, own) = (part.surface.mesh.triangles().len(), part.own());
+        let (first_triangle, first_vertex) = (count - rest.0.len(), vertices - rest.1.len());
+        let (triangles, points) = (rest.0.split_at_mut(size), rest.1.split_at_mut(own));
+        let (z, is_fixed) = (rest.2.split_at_mut(own), rest.3.split_at_mut(own));
+        rest = (triangles.1, points.1, z.1, is_fixed.1);
+        places.push(Place {
+            part,
+            first_triangle: first_triangle as u32,
+            triangles: triangles.0,
+            first_vertex: first_vertex as u32,
+            points: points.0,
+            z: z.0,
+            is_fixed: is_fixed.0,
+        });
+    }
+    let open = spread(progress, places.into_iter(), |place, _| Ok(place.fill()))?;
+    let (mut waiting, mut seams) = (HashMap::new(), Vec::new());
+    for ([a, b], h) in open.into_iter().flatten() {
+        let Some(g) = waiting.remove(&[b, a]) else {
+            waiting.insert([a, b], h);
+            continue;
+        };
+        for (h, twin) in [(h, g), (g, h)] {
+            triangles[triangle_of(h) as usize].twin[(h & 3) as usize] = twin;
+        }
+        seams.extend([g, h]);
+    }
+    Ok((Surface { mesh: Mesh::of_parts(points, triangles, metric), z, is_fixed }, seams))
+}
+
+/// Makes ordinary edges of those that are there for the seams alone, and the mesh Delaunay again; returns
+/// the triangles that touch one or have changed.
+pub fn release_seams(mesh: &mut Mesh, mut seams: Vec<u32>) -> Vec<u32> {
+    seams.retain(|&h| mesh.triangle(triangle_of(h)).is_seam((h & 3) as usize));
     seams.iter().for_each(|&h| mesh.release(h));
     let mut touched: Vec<u32> = seams.iter().map(|&h| triangle_of(h)).collect();
     touched.extend(mesh.make_delaunay_from(seams));
