@@ -103,7 +103,7 @@ impl<'t> Refinement<'t> {
             return ladder.count_down(image, (max_points, end), progress);
         }
         let rooms = vec![usize::MAX; ladder.tiles.len()];
-        let points = ladder.refine_seams(image, f64::NEG_INFINITY, usize::MAX);
+        let points = ladder.refine_seams(image, f64::NEG_INFINITY, usize::MAX, progress)?;
         let down = Rung { level: f64::NEG_INFINITY, rooms: &rooms, is_exact: false };
         ladder.descend(image, down, points, progress)?;
         Ok(Stop::Tolerance)
@@ -215,7 +215,7 @@ impl Ladder<'_> {
             progress.part([before / most, ((before + wanted) / most).min(1.0)]);
             let level = outlook.level_for(wanted, &waiting);
             let needs = outlook.needs(&waiting, level);
-            let points = self.refine_seams(image, level, (left / 8.0) as usize);
+            let points = self.refine_seams(image, level, (left / 8.0) as usize, progress)?;
             let left = max_points.saturating_sub(self.count());
             let room = match end {
                 End::Level => ((ROOM * wanted) as usize).min((MOST_LEFT * left as f64) as usize) + 1,
@@ -310,11 +310,12 @@ impl Ladder<'_> {
         Image { grid, rule }: Image<T>,
         level: f64,
         most: usize,
-    ) -> Vec<Vec<(SeamPoint, u32)>> {
+        progress: &mut Progress,
+    ) -> Result<Vec<Vec<(SeamPoint, u32)>>> {
         let mut place = vec![usize::MAX; self.tiling.count()];
         self.tiles.iter().enumerate().for_each(|(i, tile)| place[tile.number] = i);
         let mut points = vec![Vec::new(); self.tiles.len()];
-        for point in self.seams.refine(grid, rule, level, self.tiling, most) {
+        for point in self.seams.refine(grid, rule, level, self.tiling, most, progress)? {
             let number = self.shared.add(&point);
             for tile in point.tiles {
                 if let Some(points) = points.get_mut(place[tile]) {
@@ -322,7 +323,7 @@ impl Ladder<'_> {
                 }
             }
         }
-        points
+        Ok(points)
     }
 }
 

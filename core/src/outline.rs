@@ -12,6 +12,7 @@ use crate::predicate::{Point, UNIT};
 use crate::progress::Progress;
 use crate::sieve::sieve;
 use crate::simplify::{simplify, Chain};
+use crate::threads::spread;
 
 /// What counts as data, and how closely its border is followed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,6 +32,9 @@ impl Default for Shape {
     }
 }
 
+/// Pixels that one thread looks at in a row.
+const AT_ONCE: usize = 1 << 18;
+
 /// The border of the data as directed polylines, data on their positive side.
 ///
 /// Errors: `no-area` if no three neighbouring valid pixels span an area.
@@ -41,7 +45,8 @@ pub fn outline<T: Height>(grid: &Grid<T>, shape: &Shape, progress: &mut Progress
         let plain = Shape { sieve: 0, ..*shape };
         return outline(&mask, &plain, progress);
     }
-    if (0..grid.rows()).all(|row| grid.row(row).iter().fold(true, |all, z| all & !z.to_f64().is_nan())) {
+    let is_full = |part: &[T]| part.iter().fold(true, |all, z| all & !z.to_f64().is_nan());
+    if spread(progress, grid.z().chunks(AT_ONCE), |part, _| Ok(is_full(part)))?.into_iter().all(|full| full) {
         // Without voids it is the border of the raster: nothing to trace.
         let (right, bottom) = (grid.cols() - 1, grid.rows() - 1);
         let corners = [(0, 0), (right, 0), (right, bottom), (0, bottom), (0, 0)];

@@ -1,10 +1,13 @@
 //! The vertices along the seams between tiles, from the pixels on the seams alone.
 
+use crate::error::Result;
 use crate::grid::{Grid, Height};
 use crate::mesh::{half_edge, triangle_of, Class, NONE};
 use crate::predicate::Point;
+use crate::progress::Progress;
 use crate::rule::{quantile_index, Rule};
 use crate::surface::Surface;
+use crate::threads::spread;
 use crate::tiling::Tiling;
 
 /// An edge on a seam: along a row or a column of pixels from its first end to its second.
@@ -42,6 +45,9 @@ pub struct Seams {
 /// Seams are held to this share of the tolerance: at the full one they would bound slivers,
 /// at less they would take more points than they save.
 const SHARE: f64 = 0.7;
+
+/// Edges that one thread splits in a row.
+const AT_ONCE: usize = 16;
 
 /// Pixels of a triangle for one pixel of its side, squared: those of an equilateral one.
 const AREA: f64 = 0.43;
@@ -90,35 +96,61 @@ impl Seams {
         level: f64,
         tiling: &Tiling,
         most: usize,
-    ) -> Vec<SeamPoint> {
-        let mut found = Vec::new();
-        let mut open = std::mem::take(&mut self.edges);
-        let mut errors = Vec::new();
-        while let Some(mut edge) = open.pop() {
-            if found.len() == most {
-                self.edges.push(edge);
-                continue;
-            }
-            if let Split::Unknown = edge.split {
-                edge.split = edge.candidate(grid, rule, &mut errors);
-            }
-            let pixel = match edge.split {
-                Split::At(priority, pixel) if priority > SHARE * level => Some(pixel),
-                _ => None,
-            };
-            match pixel.and_then(|pixel| Some((pixel, tiling.beside(pixel.0, pixel.1)?))) {
-                None => self.edges.push(edge),
-                Some((pixel, tiles)) => {
-                    let z = grid.at(pixel.0, pixel.1);
-                    found.push(SeamPoint { pixel, z, tiles });
-                    let ([a, b], [za, zb]) = (edge.ends, edge.z);
-                    open.push(Edge::between([a, pixel], [za, z]));
-                    open.push(Edge::between([pixel, b], [z, zb]));
-                }
+        progress: &mut Progress,
+    ) -> Result<Vec<SeamPoint>> {
+        let split =
+            |edges: &[Edge], most: usize| split_up(edges, (grid, rule), (SHARE * level, most), tiling);
+        let chunks = || self.edges.chunks(AT_ONCE);
+        let parts = spread(progress, chunks(), |edges, progress| {
+            progress.poll(edges.iter().map(Edge::length).sum::<usize>(), || 0.0)?;
+            Ok(split(edges, most))
+        })?;
+        let (mut edges, mut found) = (Vec::new(), Vec::new());
+        for (before, part) in chunks().zip(parts) {
+            let left = most - found.len();
+            let part = if part.1.len() > left { split(before, left) } else { part };
+            edges.extend(part.0);
+            found.extend(part.1);
+        }
+        self.edges = edges;
+        Ok(found)
+    }
+}
+
+/// The edges that some become when all over `level` are split, and the vertices between them, `most` of
+/// them.
+fn split_up<T: Height>(
+    edges: &[Edge],
+    (grid, rule): (&Grid<T>, &Rule),
+    (level, most): (f64, usize),
+    tiling: &Tiling,
+) -> (Vec<Edge>, Vec<SeamPoint>) {
+    let (mut done, mut found) = (Vec::new(), Vec::new());
+    let (mut open, mut errors) = (edges.to_vec(), Vec::new());
+    while let Some(mut edge) = open.pop() {
+        if found.len() == most {
+            done.push(edge);
+            continue;
+        }
+        if let Split::Unknown = edge.split {
+            edge.split = edge.candidate(grid, rule, &mut errors);
+        }
+        let pixel = match edge.split {
+            Split::At(priority, pixel) if priority > level => Some(pixel),
+            _ => None,
+        };
+        match pixel.and_then(|pixel| Some((pixel, tiling.beside(pixel.0, pixel.1)?))) {
+            None => done.push(edge),
+            Some((pixel, tiles)) => {
+                let z = grid.at(pixel.0, pixel.1);
+                found.push(SeamPoint { pixel, z, tiles });
+                let ([a, b], [za, zb]) = (edge.ends, edge.z);
+                open.push(Edge::between([a, pixel], [za, z]));
+                open.push(Edge::between([pixel, b], [z, zb]));
             }
         }
-        found
     }
+    (done, found)
 }
 
 impl Edge {
@@ -135,6 +167,12 @@ impl Edge {
         is_along.then_some(ascending)
     }
 
+    /// How many pixels it takes from end to end.
+    fn length(&self) -> usize {
+        let [a, b] = self.ends;
+        (b.0 - a.0).max(b.1 - a.1)
+    }
+
     /// The pixel to split the edge at, if it is beyond its share of the tolerance.
     fn candidate<T: Height>(
         &self,
@@ -142,8 +180,7 @@ impl Edge {
         rule: &Rule,
         errors: &mut Vec<(f64, (usize, usize))>,
     ) -> Split {
-        let [a, b] = self.ends;
-        let length = (b.0 - a.0).max(b.1 - a.1);
+        let ([a, b], length) = (self.ends, self.length());
         let (right, down) = (usize::from(b.0 > a.0), usize::from(b.1 > a.1));
         let slope = (self.z[1] - self.z[0]) / length as f64;
         errors.clear();
