@@ -187,9 +187,6 @@ impl Ladder<'_> {
                 break Stop::Points;
             }
             let is_exact = end == End::Level && before > CLOSE * most;
-            if is_exact && self.has_samples() {
-                self.descend(image, Rung { is_exact, ..queueing }, no_points(&none), progress)?;
-            }
             let waiting: Vec<Waiting> = self.tiles.iter().map(|tile| tile.refiner.waiting()).collect();
             // Under infinite priorities no level lets anything through.
             let is_stuck = last.is_some_and(|(before, waited)| before == count && waited == waiting);
@@ -270,12 +267,6 @@ impl Ladder<'_> {
         Ok(Stop::Tolerance)
     }
 
-    /// Whether a sample may stand for a triangle of some tile.
-    fn has_samples(&mut self) -> bool {
-        let each = self.tiles.iter_mut().map(|tile| tile.refiner.has_samples());
-        each.fold(false, |any, one| any | one)
-    }
-
     /// One rung: new seam vertices, and in each tile what is over the level, but no more
     /// vertices than its room.
     fn descend<T: Height>(
@@ -298,6 +289,7 @@ impl Ladder<'_> {
             }
             let goal = Goal { points: tile.refiner.count().saturating_add(room), level };
             tile.refiner.refine(grid, &mut patch, rule, goal, progress)?;
+            tile.refiner.note_samples();
             tile.refiner.compact();
             Ok(())
         })?;

@@ -88,14 +88,14 @@ impl Refiner {
         self
     }
 
-    /// Whether a sample may stand for a triangle now; no longer from when none is large enough.
-    pub fn has_samples(&mut self) -> bool {
-        self.ranker.is_sampling &= self.surface.mesh.triangles().iter().any(|t| self.is_large(t));
+    /// Whether a sample may stand for a triangle.
+    pub fn is_sampling(&self) -> bool {
         self.ranker.is_sampling
     }
 
-    pub fn is_sampling(&self) -> bool {
-        self.ranker.is_sampling
+    /// None does from when no triangle is large enough.
+    pub fn note_samples(&mut self) {
+        self.ranker.is_sampling &= self.surface.mesh.triangles().iter().any(|t| self.is_large(t));
     }
 
     fn is_large(&self, triangle: &Triangle) -> bool {
