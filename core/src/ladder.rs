@@ -49,6 +49,10 @@ const MOST_LEFT: f64 = 0.9;
 /// How many times the points it is expected to need a tile may take on a rung.
 const ROOM: f64 = 2.0;
 
+/// Where more than so many times the points are to come, one tile in a few tells the first level.
+const FAR: usize = 64;
+const SCOUTS: usize = 8;
+
 /// What the worst pixel rules keeps this share of the number of seam edges back for `repair`:
 /// flips across released seams raise the largest error.
 const REPAIR: f64 = 0.08;
@@ -102,7 +106,7 @@ impl<'t> Refinement<'t> {
         if max_points < grid.rows() * grid.cols() {
             return ladder.count_down(image, (max_points, end), progress);
         }
-        let rooms = vec![usize::MAX; ladder.tiles.len()];
+        let rooms = vec![Some(usize::MAX); ladder.tiles.len()];
         let points = ladder.refine_seams(image, f64::NEG_INFINITY, usize::MAX, progress)?;
         let down = Rung { level: f64::NEG_INFINITY, rooms: &rooms, is_exact: false };
         ladder.descend(image, down, points, progress)?;
@@ -142,8 +146,8 @@ struct Image<'a, T> {
 #[derive(Clone, Copy)]
 struct Rung<'a> {
     level: f64,
-    /// Vertices at most, for each tile.
-    rooms: &'a [usize],
+    /// New vertices at most, for each tile; `None` leaves it as it is.
+    rooms: &'a [Option<usize>],
     /// Whether samples stand for large triangles no longer.
     is_exact: bool,
 }
@@ -170,11 +174,14 @@ impl Ladder<'_> {
         progress: &mut Progress,
     ) -> Result<Stop> {
         progress.part([0.0, 0.0]);
-        let none = vec![0; self.tiles.len()];
-        let no_points = |rooms: &[usize]| vec![Vec::new(); rooms.len()];
-        let queueing = Rung { level: f64::INFINITY, rooms: &none, is_exact: false };
         if self.tiles.iter().any(|tile| matches!(tile.queued, Queued::Nothing)) {
-            self.descend(image, queueing, no_points(&none), progress)?;
+            let is_far = max_points / FAR > self.count();
+            if is_far {
+                self.queue(image, SCOUTS, false, progress)?;
+            }
+            if !is_far || !self.tiles.iter().any(Tile::is_waiting) {
+                self.queue(image, 1, false, progress)?;
+            }
         }
         let mut outlook = self.outlook.take().unwrap_or_else(|| Outlook::new(image.rule));
         let mut last: Option<(usize, Vec<Waiting>)> = None;
@@ -199,32 +206,51 @@ impl Ladder<'_> {
             };
             let Some(target) = target.filter(|_| !is_stuck) else {
                 if self.tiles.iter().any(|tile| !tile.is_ready(is_exact)) {
-                    self.descend(image, Rung { is_exact, ..queueing }, no_points(&none), progress)?;
+                    self.queue(image, 1, is_exact, progress)?;
                 }
                 break self.go_singly(image, max_points, repair / 2, progress)?;
             };
-            if self.tiles.iter().all(|tile| tile.is_ready(false))
-                && !waiting.iter().flatten().any(|&(priority, _)| priority > 0.0)
+            if self.tiles.iter().all(|tile| tile.is_ready(false)) && !self.tiles.iter().any(Tile::is_waiting)
             {
                 break Stop::Tolerance;
             }
             let wanted = target.min(GROWTH * before) - before;
             progress.part([before / most, ((before + wanted) / most).min(1.0)]);
-            let level = outlook.level_for(wanted, &waiting);
-            let needs = outlook.needs(&waiting, level);
+            // What the tiles that have a queue say goes for the others, too.
+            let has_queue = |tile: &Tile| !matches!(tile.queued, Queued::Nothing);
+            let part =
+                self.tiles.iter().filter(|tile| has_queue(tile)).count() as f64 / self.tiles.len() as f64;
+            let level = outlook.level_for(part * wanted, &waiting);
+            let mut needs = outlook.needs(&waiting, level);
+            let mean = needs.iter().sum::<f64>() / (part * needs.len() as f64);
+            let others = needs.iter_mut().zip(&self.tiles).filter(|(_, tile)| !has_queue(tile));
+            others.for_each(|(need, _)| *need = mean);
             let points = self.refine_seams(image, level, (left / 8.0) as usize, progress)?;
             let left = max_points.saturating_sub(self.count());
             let room = match end {
                 End::Level => ((ROOM * wanted) as usize).min((MOST_LEFT * left as f64) as usize) + 1,
                 End::Rough => left,
             };
-            let rung = Rung { level, rooms: &share_out(room, &needs), is_exact };
-            self.descend(image, rung, points, progress)?;
-            outlook.learn(&waiting, level, (self.count() - count) as f64);
+            let rooms: Vec<_> = share_out(room, &needs).into_iter().map(Some).collect();
+            self.descend(image, Rung { level, rooms: &rooms, is_exact }, points, progress)?;
+            outlook.learn(&waiting, level, part * (self.count() - count) as f64);
             last = Some((count, waiting));
         };
         self.outlook = Some(outlook);
         Ok(stop)
+    }
+
+    /// Has one in `step` tiles fill its queue, and insert nothing.
+    fn queue<T: Height>(
+        &mut self,
+        image: Image<T>,
+        step: usize,
+        is_exact: bool,
+        progress: &mut Progress,
+    ) -> Result<()> {
+        let rooms: Vec<_> = (0..self.tiles.len()).map(|i| i.is_multiple_of(step).then_some(0)).collect();
+        let rung = Rung { level: f64::INFINITY, rooms: &rooms, is_exact };
+        self.descend(image, rung, vec![Vec::new(); rooms.len()], progress)
     }
 
     /// Inserts one candidate at a time, the most urgent of all tiles, until there are `max_points`;
@@ -278,11 +304,14 @@ impl Ladder<'_> {
     ) -> Result<()> {
         let (Image { grid, rule }, tiling) = (image, self.tiling);
         let tiles = self.tiles.iter_mut().zip(points).zip(rooms);
-        let is_busy = |((tile, points), room): &((&mut Tile, Vec<_>), &usize)| {
-            **room > 0 || !points.is_empty() || !tile.is_ready(is_exact)
+        let is_busy = |tile: &Tile, points: &[_], room: usize| {
+            room > 0 || !points.is_empty() || !tile.is_ready(is_exact)
         };
-        let busy: Vec<_> = tiles.filter(is_busy).collect();
-        spread(progress, busy.into_iter(), |((tile, points), &room), progress| {
+        let busy: Vec<_> = tiles
+            .filter_map(|((tile, points), &room)| Some((tile, points, room?)))
+            .filter(|(tile, points, room)| is_busy(tile, points, *room))
+            .collect();
+        spread(progress, busy.into_iter(), |(tile, points, room), progress| {
             let mut patch = tile.prepare(image, tiling, &points, progress)?;
             if is_exact && tile.refiner.is_sampling() {
                 tile.refiner.exact(grid, &patch, rule, progress)?;
@@ -323,6 +352,11 @@ impl Tile {
     /// Whether its queue is that of the image, and without samples if it is to be exact.
     fn is_ready(&self, is_exact: bool) -> bool {
         matches!(self.queued, Queued::Now(_)) && !(is_exact && self.refiner.is_sampling())
+    }
+
+    /// Whether it could go on.
+    fn is_waiting(&self) -> bool {
+        self.refiner.waiting().iter().any(|&(priority, _)| priority > 0.0)
     }
 
     /// The heights of the tile, after its new seam vertices have been inserted.
