@@ -55,16 +55,19 @@ fn tiles_take_no_more_points_and_are_no_worse() {
 
 #[test]
 fn the_last_points_go_where_the_error_is_largest() {
+    // Of one DEM the very last point may uncover an error that none is left for, in tiles or in one piece.
     let side = 256;
-    for seed in 1..6 {
+    let ratio = |seed| {
         let z = relief(side, seed);
         let largest = |tile| {
             let done = run(&z, side, side, &Options { tile, ..plain(MAX, side * side / 20) }).unwrap();
             residuals(&done, &z, side).into_iter().fold(0.0, f64::max)
         };
-        let ratio = largest(85) / largest(0);
-        assert!(ratio < 1.3, "{seed}: {ratio}");
-    }
+        largest(85) / largest(0)
+    };
+    let mut ratios: Vec<f64> = (1..10).map(ratio).collect();
+    ratios.sort_unstable_by(f64::total_cmp);
+    assert!(ratios[4] < 1.1, "{ratios:?}");
 }
 
 #[test]
