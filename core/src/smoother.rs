@@ -243,6 +243,16 @@ fn convolve(line: &[f64], kernel: &[f64], into: &mut [f64]) {
 /// of the one at distance 0.
 #[inline(always)]
 fn weigh<'l>(weights: &[f64], pair: impl Fn(usize) -> [&'l [f64]; 2], into: &mut [f64]) {
+    // The radii of the default scales get code of their own, without an inner loop.
+    match weights.len() {
+        3 => weigh_all(&weights[..3], pair, into),
+        4 => weigh_all(&weights[..4], pair, into),
+        _ => weigh_all(weights, pair, into),
+    }
+}
+
+#[inline(always)]
+fn weigh_all<'l>(weights: &[f64], pair: impl Fn(usize) -> [&'l [f64]; 2], into: &mut [f64]) {
     for (i, into) in into.as_chunks_mut::<BLOCK>().0.iter_mut().enumerate() {
         let block = |line: &[f64]| -> [f64; BLOCK] {
             let line = &line[i * BLOCK..(i + 1) * BLOCK];
