@@ -82,7 +82,7 @@ impl Outlook {
                 *(if expected(middle) < took { &mut low } else { &mut high }) = middle;
             }
             self.steepness = high;
-        } else {
+        } else if expected(0.0) > 0.0 {
             let ratio = took / expected(self.steepness);
             self.share = (self.share * ratio.clamp(0.25, 4.0)).clamp(LEAST_SHARE, LARGEST_SHARE);
         }
@@ -115,6 +115,10 @@ mod tests {
             let again: f64 = outlook.needs(&waiting, level).iter().sum();
             assert!((again - took).abs() < 1e-3 * took, "{level}: {again} for {took}");
         }
+        // Where nothing is over the level nothing is learnt.
+        let mut outlook = Outlook::new(&rule);
+        outlook.learn(&waiting, 9.0, 0.0);
+        assert_eq!(outlook.needs(&waiting, 1.0), Outlook::new(&rule).needs(&waiting, 1.0));
     }
 
     #[test]
