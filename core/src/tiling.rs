@@ -46,14 +46,6 @@ impl Tiling {
         part(&self.rows, pixel(a.y, b.y, c.y)) * (self.columns.len() - 1) + i
     }
 
-    /// Whether an edge runs along a seam, or along what would be one if nothing lay there.
-    pub fn has_on_seam(&self, [a, b]: [Point; 2]) -> bool {
-        let is_inner = |cuts: &[usize], at: i32| {
-            cuts[1..cuts.len() - 1].binary_search_by_key(&at, |&cut| Point::pixel(cut, 0).x).is_ok()
-        };
-        a.x == b.x && is_inner(&self.columns, a.x) || a.y == b.y && is_inner(&self.rows, a.y)
-    }
-
     /// The seams, as the points where they start, meet and end.
     pub fn seams(&self) -> Vec<Vec<Point>> {
         let inner = |cuts: &[usize]| cuts[1..cuts.len() - 1].to_vec();
@@ -101,15 +93,6 @@ mod tests {
         assert_eq!(cuts(769, 512), [0, 512, 768]);
         assert_eq!(cuts(2, 512), [0, 1]);
         assert_eq!(cuts(9999, 0), [0, 9998]);
-    }
-
-    #[test]
-    fn edges_run_along_seams_or_across_them() {
-        let tiling = Tiling::new(40, 40, 10);
-        let has = |p: [(usize, usize); 2]| tiling.has_on_seam(p.map(|(col, row)| Point::pixel(col, row)));
-        assert!(has([(10, 1), (10, 5)]) && has([(5, 20), (1, 20)]));
-        assert!(!has([(8, 1), (12, 1)]) && !has([(10, 3), (20, 4)]) && !has([(9, 3), (9, 7)]));
-        assert!(!has([(0, 3), (0, 7)]) && !has([(39, 3), (39, 7)]));
     }
 
     #[test]
