@@ -80,7 +80,7 @@ def layers(file):
 
 
 def test_in_the_background_qgis_goes_on_and_cancel_is_prompt(provider, tmp_path):
-    dem = make_dem(tmp_path / "big.tif", rows=1500, cols=1500)
+    dem = make_dem(tmp_path / "big.tif", rows=3000, cols=3000)
     context, said = QgsProcessingContext(), Feedback()
     parameters = {"INPUT": str(dem), "MAX_POINTS": "5%", "MESH": str(tmp_path / "t.nc")}
     task = QgsProcessingAlgRunnerTask(provider.algorithm("demtotin"), parameters, context, said)
