@@ -1,11 +1,11 @@
 //! How far a fit should follow the smoothed image rather than the data.
 
+use crate::curve::scramble;
 use crate::error::Result;
 use crate::fit::Systems;
 use crate::grid::{Grid, Height};
 use crate::lanes::Vectors;
 use crate::memory;
-use crate::order::scramble;
 use crate::predicate::Point;
 use crate::progress::Progress;
 use crate::scale::{gaussian, reach};

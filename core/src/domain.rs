@@ -3,12 +3,12 @@
 
 use crate::constrain::Constrainer;
 use crate::crop::{crop_ring, crop_segment, signed_area, Vertex};
+use crate::curve::insertion_order;
 use crate::error::{Error, Result};
 use crate::grid::{Grid, Height};
 use crate::label::{Label, Labels, OUTLINE};
 use crate::memory;
 use crate::mesh::{half_edge, triangle_of, Class, Mesh, NONE};
-use crate::order::insertion_order;
 use crate::outline::{outline, Shape};
 use crate::predicate::{Metric, Point, UNIT};
 use crate::progress::Progress;

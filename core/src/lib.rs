@@ -1,6 +1,6 @@
 //! Exact incremental Delaunay refinement of digital elevation models.
 //!
-//! Modules, each using only those above it: `predicate`, `grid`, `mesh` (`check`,
+//! Modules, each using only those above it: `predicate`, `curve`, `grid`, `mesh` (`check`,
 //! `constrain`), `scan`, `lanes`, `patch`, `walk`, `facet`, `noise`, `smoother`, `scale`, `outline`,
 //! `queue`, `rule`, `rank`, `refine`, `tiles`, `outlook`, `ladder`, `sight` (`moments`, `owned`), `fit` (`normal`), `blend`, `flip`,
 //! `pipeline`; `python` is the binding.
@@ -12,6 +12,7 @@ pub mod blend;
 pub mod check;
 pub mod constrain;
 pub mod crop;
+mod curve;
 pub mod domain;
 pub mod error;
 pub mod facet;

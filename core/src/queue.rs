@@ -1,6 +1,6 @@
 //! The queue of candidates: lazy, in buckets of like priority.
 
-use crate::order::curve_position;
+use crate::curve::curve_position;
 use std::cmp::{Ordering, Reverse};
 use std::collections::{BTreeMap, BinaryHeap};
 

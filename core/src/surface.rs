@@ -1,8 +1,8 @@
 //! A mesh whose vertices have heights.
 
+use crate::curve::insertion_order;
 use crate::grid::{Grid, Height};
 use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
-use crate::order::insertion_order;
 use crate::predicate::Point;
 use crate::triangle::Location;
 
