@@ -5,14 +5,15 @@ mod common;
 
 use common::{hash, method, terrain, unit};
 use criterion::{criterion_group, criterion_main, Criterion, Throughput};
-use dem2tin_core::facet::{Errors, Facet};
+use dem2tin_core::facet::Facet;
 use dem2tin_core::grid::{Grid, Height};
-use dem2tin_core::lanes::Vectors;
+use dem2tin_core::lanes::{Kernel, Lanes, Vectors};
+use dem2tin_core::list::List;
 use dem2tin_core::patch::{Patch, Window};
 use dem2tin_core::pipeline::triangulate;
 use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::progress::Progress;
-use dem2tin_core::queue::{Candidate, Pick, Queue};
+use dem2tin_core::queue::{Candidate, Order, Pick, Queue};
 use dem2tin_core::rule::quantile_index;
 use dem2tin_core::select::Selector;
 use std::hint::black_box;
@@ -42,25 +43,60 @@ fn all_vectors() -> [(&'static str, Vectors); 2] {
     [("plain", Vectors::Plain), ("best", Vectors::best())]
 }
 
+struct Worst<'a>(&'a Facet, &'a Patch);
+
+impl Kernel for Worst<'_> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> f32 {
+        self.0.largest::<L>(self.1)
+    }
+}
+
+struct Collect<'a>(&'a Facet, &'a Patch, &'a mut List);
+
+impl Kernel for Collect<'_> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> f32 {
+        self.0.collect::<L>(self.1, self.2)
+    }
+}
+
 fn scan(c: &mut Criterion) {
     let z = terrain(SIZE);
     let grid = Grid::new(&z, SIZE, SIZE).unwrap();
     let window = Window { col: 0, row: 0, cols: SIZE, rows: SIZE };
     let patch = Patch::new(&grid, window).unwrap();
-    let mut errors = Errors::default();
+    let mut errors = List::default();
     for (name, n, side) in [("small", 4096, 10), ("large", 16, 200)] {
         let triangles: Vec<_> = triangles(n, side).into_iter().map(|p| (p, heights(&grid, p))).collect();
         let facets = || triangles.iter().map(|&(p, z)| Facet::new(&patch, black_box(p), z));
         let mut group = c.benchmark_group(format!("scan/{name}"));
-        group.throughput(Throughput::Elements(facets().map(|facet| facet.pixels() as u64).sum()));
+        group.throughput(Throughput::Elements(facets().map(|facet| facet.pixels as u64).sum()));
         for (kind, vectors) in all_vectors() {
             group.bench_function(format!("worst/{kind}"), |b| {
-                b.iter(|| facets().map(|facet| facet.worst(&patch, vectors).place).sum::<usize>())
+                b.iter(|| facets().map(|facet| vectors.run(Worst(&facet, &patch))).sum::<f32>())
             });
             group.bench_function(format!("collect/{kind}"), |b| {
-                b.iter(|| facets().map(|facet| facet.collect(&patch, vectors, &mut errors)).sum::<f32>())
+                b.iter(|| {
+                    facets().map(|facet| vectors.run(Collect(&facet, &patch, &mut errors))).sum::<f32>()
+                })
             });
         }
+    }
+}
+
+struct Median<'a>(&'a List, &'a mut Selector);
+
+impl Kernel for Median<'_> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> f32 {
+        self.1.nth::<L>(self.0, quantile_index(self.0.values().len(), 0.5))
     }
 }
 
@@ -73,8 +109,10 @@ fn selection(c: &mut Criterion) {
         let mut group = c.benchmark_group(format!("selection/{n}"));
         group.throughput(Throughput::Elements(ERRORS));
         for (kind, vectors) in all_vectors() {
-            let mut median = |list: &[f32]| selector.nth(list, quantile_index(n, 0.5), vectors);
-            group.bench_function(kind, |b| b.iter(|| errors.chunks_exact(n).map(&mut median).sum::<f32>()));
+            let lists: Vec<List> =
+                errors.chunks_exact(n).map(|list| list.iter().copied().collect()).collect();
+            let mut median = |list| vectors.run(Median(list, &mut selector));
+            group.bench_function(kind, |b| b.iter(|| lists.iter().map(&mut median).sum::<f32>()));
         }
     }
 }
@@ -106,12 +144,12 @@ fn predicates(c: &mut Criterion) {
 
 /// What a refinement asks of the queue: each candidate taken makes six triangles stale or
 /// new, each with a lower priority than the one taken.
-fn queue_mix(local: Option<u32>) -> usize {
+fn queue_mix(order: Order) -> usize {
     const TRIANGLES: u64 = 1 << 13;
     const STEPS: u64 = 1 << 12;
     const SIDE: u64 = 1 << 10;
     let mut versions = vec![0u32; TRIANGLES as usize];
-    let mut queue = Queue::new(local);
+    let mut queue = Queue::new(order);
     let candidate = |i: u64, triangle: u32, version: u32, most: f64| {
         let priority = most * unit(2 * i).max(1e-9);
         let pixel = (hash(2 * i + 1) % (SIDE * SIDE)) as u32;
@@ -140,9 +178,12 @@ fn queue_mix(local: Option<u32>) -> usize {
 
 fn queue(c: &mut Criterion) {
     let mut group = c.benchmark_group("queue");
-    group.throughput(Throughput::Elements(queue_mix(None) as u64));
-    group.bench_function("exact", |b| b.iter(|| queue_mix(black_box(None))));
-    group.bench_function("local", |b| b.iter(|| queue_mix(black_box(Some(1 << 10)))));
+    group.throughput(Throughput::Elements(queue_mix(Order::Exact) as u64));
+    for (name, order) in
+        [("exact", Order::Exact), ("latest", Order::Latest), ("curve", Order::Curve(1 << 10))]
+    {
+        group.bench_function(name, |b| b.iter(|| queue_mix(black_box(order))));
+    }
 }
 
 fn whole(c: &mut Criterion) {

@@ -1,20 +1,24 @@
 //! The scan of one triangle, in single precision.
 //!
-//! Which pixel is the worst is found here; how far it is off is for `refine` to say, in
-//! double precision.
+//! How far the worst pixel is off is found for every triangle, which one it is only when it is to be
+//! inserted.
 
 use crate::grid::{Grid, Height};
 use crate::lanes::{Kernel, Lanes, Vectors, LANES};
+use crate::list::List;
 use crate::patch::Patch;
 use crate::predicate::{Point, SUB_BITS};
 use crate::scan::{Plane, Spans};
 use crate::walk::{pixels_of, Visitor, Walk};
 
 /// A triangle over a patch.
+#[derive(Clone, Copy)]
 pub struct Facet {
     walk: Walk,
     /// A bound of all |heights| of the plane that are met on the way.
     largest: f64,
+    /// Its area in pixels, which is about their number.
+    pub pixels: usize,
 }
 
 /// A pixel of a facet.
@@ -24,19 +28,6 @@ pub struct Found {
     pub error: f32,
     /// In the heights of the patch.
     pub place: usize,
-}
-
-/// The errors of a facet's candidates.
-#[derive(Default)]
-pub struct Errors {
-    values: Vec<f32>,
-    count: usize,
-}
-
-impl Errors {
-    pub fn values(&self) -> &[f32] {
-        &self.values[..self.count]
-    }
 }
 
 /// What single precision may be off, as a part of the heights involved (sixteen times
@@ -50,7 +41,7 @@ const RANGE: f64 = 1e37;
 const TINY: f64 = 1e-36;
 
 impl Facet {
-    #[inline]
+    #[inline(always)]
     pub fn new(patch: &Patch, p: [Point; 3], z: [f64; 3]) -> Self {
         let p = p.map(|p| patch.local(p));
         let z = z.map(|z| z - patch.reference());
@@ -58,57 +49,53 @@ impl Facet {
         // A row may start up to `LANES` pixels beside the triangle.
         let beside = LANES as f64 * plane.per_col.abs();
         let largest = z[0].abs().max(z[1].abs()).max(z[2].abs()) + beside;
-        Facet { walk: Walk::new(p, plane), largest }
+        Facet { walk: Walk::new(p, plane), largest, pixels: pixels_of(p) }
     }
 
     /// How far an error in single precision can be off.
+    #[inline(always)]
     pub fn rounding(&self, error: f32) -> f64 {
         ROUNDING * (self.largest + f64::from(error)) + TINY
     }
 
     /// Whether single precision overflows nowhere on the way.
+    #[inline(always)]
     pub fn is_in_range(&self, patch: &Patch) -> bool {
         self.largest + patch.largest() < RANGE
     }
 
     /// Whether single precision holds its plane as it is: one that is level and not too finely
     /// so.
+    #[inline(always)]
     pub fn is_exact(&self) -> bool {
         let Plane { per_col, per_row, z0, .. } = self.walk.plane;
         per_col == 0.0 && per_row == 0.0 && f64::from(z0 as f32) == z0
     }
 
-    /// Its area in pixels, which is about their number.
-    #[inline]
-    pub fn pixels(&self) -> usize {
-        pixels_of(self.walk.p)
-    }
-
     /// Pixels that each candidate stands for: 1 but for a sample.
-    #[inline]
+    #[inline(always)]
     pub fn thinning(&self) -> usize {
         self.walk.thinning()
     }
 
     /// About so many of its pixels, evenly spread, if it has at least twice as many.
-    #[inline]
+    #[inline(always)]
     pub fn sampled(&self, pixels: usize) -> Option<Self> {
-        Some(Facet { walk: self.walk.sampled(pixels)?, ..*self })
+        Some(Facet { walk: self.walk.sampled(self.pixels / pixels)?, ..*self })
     }
 
     /// The error of a candidate, in double precision.
-    #[inline]
+    #[inline(always)]
     pub fn error<T: Height>(&self, patch: &Patch, grid: &Grid<T>, place: usize) -> f64 {
         let (col, row) = patch.split(place);
         let plane = self.walk.plane.at(self.walk.plane.on_row(row), col);
         (patch.height(place, grid) - patch.reference() - plane).abs()
     }
 
-    /// A pixel of it or beside it, in the heights of the patch.
-    #[inline]
-    pub fn middle(&self, patch: &Patch) -> usize {
-        let [a, b, c] = self.walk.p;
-        let [col, row] = [a.x + b.x + c.x, a.y + b.y + c.y].map(|v| ((v / 3) >> SUB_BITS) as usize);
+    /// The place of its first corner, or of a pixel beside it.
+    #[inline(always)]
+    pub fn first(&self, patch: &Patch) -> usize {
+        let [col, row] = [self.walk.p[0].x, self.walk.p[0].y].map(|v| (v >> SUB_BITS) as usize);
         row * patch.stride() + col
     }
 
@@ -124,10 +111,10 @@ impl Facet {
         errors
     }
 
-    /// A pixel with the largest error, always the same one.
-    #[inline]
-    pub fn worst(&self, patch: &Patch, vectors: Vectors) -> Found {
-        vectors.run(Worst { facet: self, patch })
+    /// The largest error, -1 if there is no candidate.
+    #[inline(always)]
+    pub fn largest<L: Lanes>(&self, patch: &Patch) -> f32 {
+        L::largest(self.walk.run(patch, Largest::<L>(L::splat(-1.0))).0)
     }
 
     /// A pixel with the largest error up to `limit`, always the same one.
@@ -137,51 +124,52 @@ impl Facet {
     }
 
     /// Collects all errors and returns the largest, -1 if there is no candidate.
-    #[inline]
-    pub fn collect(&self, patch: &Patch, vectors: Vectors, errors: &mut Errors) -> f32 {
-        vectors.run(Collect { facet: self, patch, errors })
+    #[inline(always)]
+    pub fn collect<L: Lanes>(&self, patch: &Patch, errors: &mut List) -> f32 {
+        let values = errors.start(self.walk.room());
+        let collector = Collector::<L> { largest: L::splat(-1.0), values, count: 0 };
+        let Collector { largest, count, .. } = self.walk.run(patch, collector);
+        errors.end(count);
+        L::largest(largest)
     }
 }
 
 /// Lane by lane the largest error so far.
-struct Largest<L: Lanes> {
-    error: L::F,
-    place: L::I,
-}
-
-impl<L: Lanes> Largest<L> {
-    #[inline(always)]
-    fn new() -> Self {
-        Largest { error: L::splat(-1.0), place: L::splat_i(0) }
-    }
-
-    #[inline(always)]
-    fn found(self) -> Found {
-        let (error, place) = L::first_largest(self.error, self.place);
-        Found { error, place: place as usize }
-    }
-}
+struct Largest<L: Lanes>(L::F);
 
 impl<L: Lanes> Visitor<L> for Largest<L> {
     #[inline(always)]
-    fn see(&mut self, error: L::F, place: L::I) {
-        let is_larger = L::greater(error, self.error);
-        self.error = L::choose(is_larger, error, self.error);
-        self.place = L::choose_i(is_larger, place, self.place);
+    fn see(&mut self, error: L::F) -> bool {
+        self.0 = L::max(error, self.0);
+        false
     }
 }
 
-/// The same among errors up to a limit.
+/// The same up to a limit and with its places, until that is found.
 struct Limited<L: Lanes> {
-    largest: Largest<L>,
     limit: L::F,
+    error: L::F,
+    place: L::I,
+    /// Where the next errors lie.
+    next: L::I,
+    further: L::I,
 }
 
 impl<L: Lanes> Visitor<L> for Limited<L> {
     #[inline(always)]
-    fn see(&mut self, error: L::F, place: L::I) {
+    fn move_to(&mut self, place: usize, further: usize) {
+        (self.next, self.further) = (L::ramp(place as i32, 1), L::splat_i(further as i32));
+    }
+
+    #[inline(always)]
+    fn see(&mut self, error: L::F) -> bool {
         let is_beyond = L::greater(error, self.limit);
-        self.largest.see(L::choose(is_beyond, L::splat(-1.0), error), place);
+        let error = L::choose(is_beyond, L::splat(-1.0), error);
+        let is_larger = L::greater(error, self.error);
+        self.error = L::choose(is_larger, error, self.error);
+        self.place = L::choose_i(is_larger, self.next, self.place);
+        self.next = L::add_i(self.next, self.further);
+        L::is_any(L::equal(error, self.limit))
     }
 }
 
@@ -194,27 +182,10 @@ struct Collector<'a, L: Lanes> {
 
 impl<L: Lanes> Visitor<L> for Collector<'_, L> {
     #[inline(always)]
-    fn see(&mut self, error: L::F, _: L::I) {
+    fn see(&mut self, error: L::F) -> bool {
         self.largest = L::max(error, self.largest);
-        if let Some(values) = self.values.get_mut(self.count..).and_then(|values| values.first_chunk_mut()) {
-            self.count += L::compress(L::greater(error, L::splat(-0.5)), error, values);
-        }
-    }
-}
-
-struct Worst<'a> {
-    facet: &'a Facet,
-    patch: &'a Patch,
-}
-
-impl Kernel for Worst<'_> {
-    type Output = Found;
-
-    #[inline(always)]
-    fn run<L: Lanes>(self) -> Found {
-        let mut largest = Largest::<L>::new();
-        self.facet.walk.run(self.patch, &mut largest);
-        largest.found()
+        self.count += L::compress(L::greater(error, L::splat(-0.5)), error, self.values, self.count);
+        false
     }
 }
 
@@ -229,31 +200,12 @@ impl Kernel for WorstUpTo<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> Found {
-        let mut limited = Limited { largest: Largest::<L>::new(), limit: L::splat(self.limit) };
-        self.facet.walk.run(self.patch, &mut limited);
-        limited.largest.found()
-    }
-}
-
-struct Collect<'a> {
-    facet: &'a Facet,
-    patch: &'a Patch,
-    errors: &'a mut Errors,
-}
-
-impl Kernel for Collect<'_> {
-    type Output = f32;
-
-    #[inline(always)]
-    fn run<L: Lanes>(self) -> f32 {
-        let Errors { values, count } = self.errors;
-        if values.len() < self.facet.walk.room() {
-            values.resize(2 * self.facet.walk.room(), 0.0);
-        }
-        let mut collector = Collector::<L> { largest: L::splat(-1.0), values, count: 0 };
-        self.facet.walk.run(self.patch, &mut collector);
-        *count = collector.count;
-        L::largest(collector.largest)
+        let (none, first) = (L::splat(-1.0), L::splat_i(0));
+        let limit = L::splat(self.limit);
+        let limited = Limited::<L> { limit, error: none, place: first, next: first, further: first };
+        let limited = self.facet.walk.run(self.patch, limited);
+        let (error, place) = L::first_largest(limited.error, limited.place);
+        Found { error, place: place as usize }
     }
 }
 
@@ -263,6 +215,28 @@ mod tests {
     use crate::patch::Window;
     use crate::predicate::orient2d;
     use proptest::prelude::*;
+
+    struct Worst<'a>(&'a Facet, &'a Patch);
+
+    impl Kernel for Worst<'_> {
+        type Output = f32;
+
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> f32 {
+            self.0.largest::<L>(self.1)
+        }
+    }
+
+    struct Collect<'a>(&'a Facet, &'a Patch, &'a mut List);
+
+    impl Kernel for Collect<'_> {
+        type Output = f32;
+
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> f32 {
+            self.0.collect::<L>(self.1, self.2)
+        }
+    }
 
     fn brute(facet: &Facet, patch: &Patch, size: i32) -> Vec<(i32, f64)> {
         let Walk { p, plane, .. } = facet.walk;
@@ -295,13 +269,13 @@ mod tests {
             let expected = brute(&facet, &patch, 40);
             let largest = expected.iter().fold(-1.0f64, |a, b| a.max(b.1));
             let bound = facet.rounding(largest as f32);
-            let (mut plain, mut best) = (Errors::default(), Errors::default());
-            let found = facet.collect(&patch, Vectors::Plain, &mut plain);
-            prop_assert_eq!(facet.collect(&patch, Vectors::best(), &mut best), found);
+            let (mut plain, mut best) = (List::default(), List::default());
+            let found = Vectors::Plain.run(Collect(&facet, &patch, &mut plain));
+            prop_assert_eq!(Vectors::best().run(Collect(&facet, &patch, &mut best)), found);
             prop_assert_eq!(plain.values(), best.values());
-            let worst = facet.worst(&patch, Vectors::Plain);
-            prop_assert_eq!(facet.worst(&patch, Vectors::best()), worst);
-            prop_assert_eq!((worst.error, plain.values().len()), (found, expected.len()));
+                let worst = Vectors::Plain.run(Worst(&facet, &patch));
+            prop_assert_eq!(Vectors::best().run(Worst(&facet, &patch)), worst);
+            prop_assert_eq!((worst, plain.values().len()), (found, expected.len()));
             let sorted = |mut errors: Vec<f64>| { errors.sort_by(f64::total_cmp); errors };
             let errors = sorted(plain.values().iter().map(|&error| error.into()).collect());
             for (error, expected) in errors.iter().zip(sorted(expected.iter().map(|e| e.1).collect())) {
@@ -315,12 +289,13 @@ mod tests {
                 prop_assert!((f64::from(error) - there).abs() <= bound);
             }
             if let Some(sample) = facet.sampled(16) {
-                let found = sample.collect(&patch, Vectors::Plain, &mut plain);
-                prop_assert_eq!(sample.collect(&patch, Vectors::best(), &mut best), found);
+                let found = Vectors::Plain.run(Collect(&sample, &patch, &mut plain));
+                prop_assert_eq!(Vectors::best().run(Collect(&sample, &patch, &mut best)), found);
                 prop_assert_eq!(plain.values(), best.values());
                 let of_all = |error: f32| expected.iter().any(|e| (f64::from(error) - e.1).abs() <= bound);
                 prop_assert!(plain.values().iter().all(|&error| of_all(error)));
-                prop_assert_eq!(sample.worst(&patch, Vectors::best()).error, found);
+                prop_assert_eq!(Vectors::best().run(Worst(&sample, &patch)), found);
+                prop_assert_eq!(facet.worst_up_to(found, &patch, Vectors::best()).error, found);
             }
         }
     }
@@ -337,12 +312,12 @@ mod tests {
             let p = [(0, 0), (col, 20), (5, row)].map(|(col, row)| Point::pixel(col, row));
             let facet = Facet::new(&patch, p, [0.0; 3]);
             let Some(sample) = facet.sampled(256) else {
-                assert!(lowest == 0 || facet.pixels() < 800);
+                assert!(lowest == 0 || facet.pixels < 800);
                 continue;
             };
-            let (mut all, mut some) = (Errors::default(), Errors::default());
-            facet.collect(&patch, Vectors::best(), &mut all);
-            sample.collect(&patch, Vectors::best(), &mut some);
+            let (mut all, mut some) = (List::default(), List::default());
+            Vectors::best().run(Collect(&facet, &patch, &mut all));
+            Vectors::best().run(Collect(&sample, &patch, &mut some));
             let (all, some) = (all.values().len(), some.values().len());
             assert!((lowest..600).contains(&some), "{some} of {all}");
             let stood_for = (some * sample.thinning()) as f64 / all as f64;

@@ -43,19 +43,28 @@ impl Height for f64 {
 
 /// The lowest and the highest, voids aside; an infinite interval the wrong way round if there are no others.
 pub fn extent<T: Height>(heights: &[T]) -> (f64, f64) {
-    const WIDTH: usize = 16;
-    let (mut low, mut high) = ([T::from_f64(f64::INFINITY); WIDTH], [T::from_f64(f64::NEG_INFINITY); WIDTH]);
+    // Twice through what the cache holds is faster than both at once.
+    const BLOCK: usize = 1 << 12;
+    heights.chunks(BLOCK).fold((f64::INFINITY, f64::NEG_INFINITY), |all, block| {
+        let low = foremost(block, T::from_f64(f64::INFINITY), |a, b| a < b);
+        let high = foremost(block, T::from_f64(f64::NEG_INFINITY), |a, b| a > b);
+        (all.0.min(low.to_f64()), all.1.max(high.to_f64()))
+    })
+}
+
+/// The height that comes before all others and `none`; voids come before nothing.
+#[inline(always)]
+fn foremost<T: Height>(heights: &[T], none: T, is_before: impl Fn(T, T) -> bool) -> T {
+    const WIDTH: usize = 32;
+    let before = |a: T, b: T| if is_before(a, b) { a } else { b };
+    let mut first = [none; WIDTH];
     let (chunks, rest) = heights.as_chunks::<WIDTH>();
-    let mut last = [T::from_f64(f64::NAN); WIDTH];
-    last[..rest.len()].copy_from_slice(rest);
-    for chunk in chunks.iter().chain([&last]) {
-        for i in 0..WIDTH {
-            low[i] = if chunk[i] < low[i] { chunk[i] } else { low[i] };
-            high[i] = if chunk[i] > high[i] { chunk[i] } else { high[i] };
+    for chunk in chunks {
+        for (first, &height) in first.iter_mut().zip(chunk) {
+            *first = before(height, *first);
         }
     }
-    let ends = low.iter().zip(&high).map(|(low, high)| (low.to_f64(), high.to_f64()));
-    ends.fold((f64::INFINITY, f64::NEG_INFINITY), |all, one| (all.0.min(one.0), all.1.max(one.1)))
+    rest.iter().chain(&first).fold(none, |all, &height| before(height, all))
 }
 
 /// The largest |height|, 0 if all are void.

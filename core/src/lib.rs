@@ -22,6 +22,7 @@ pub mod grid;
 pub mod label;
 pub mod ladder;
 pub mod lanes;
+pub mod list;
 pub mod locate;
 pub mod measure;
 pub mod memory;

@@ -336,16 +336,18 @@ impl Mesh {
     pub fn flip(&mut self, h: u32) {
         let g = self.twin(h);
         let (t, u) = (triangle_of(h), triangle_of(g));
-        let (a, b, c, d) = (self.origin(h), self.dest(h), self.apex(h), self.apex(g));
-        let (bc, ca) = (self.outer(next(h)), self.outer(prev(h)));
-        let (ad, db) = (self.outer(next(g)), self.outer(prev(g)));
-        self.reset_triangle(t, [c, a, d]);
-        self.reset_triangle(u, [c, d, b]);
-        self.attach(half_edge(t, 0), ca);
-        self.attach(half_edge(t, 1), ad);
-        self.attach(half_edge(u, 1), db);
-        self.attach(half_edge(u, 2), bc);
-        self.link(half_edge(t, 2), half_edge(u, 0));
+        let (of_t, of_u) = (*self.triangle(t), *self.triangle(u));
+        let [(a, _), (b, bc), (c, ca)] = of_t.from(h & 3);
+        let [_, (_, ad), (d, db)] = of_u.from(g & 3);
+        self.triangles[t as usize] = of_t.changed([c, a, d], [ca, ad, (half_edge(u, 0), 0)]);
+        self.triangles[u as usize] = of_u.changed([c, d, b], [(half_edge(t, 2), 0), db, bc]);
+        for (new, (twin, _)) in
+            [(half_edge(t, 0), ca), (half_edge(t, 1), ad), (half_edge(u, 1), db), (half_edge(u, 2), bc)]
+        {
+            if twin != NONE {
+                self.triangles[triangle_of(twin) as usize].twin[(twin & 3) as usize] = new;
+            }
+        }
     }
 
     /// Whether the quadrilateral around interior edge `h` is strictly convex.

@@ -6,7 +6,6 @@ use crate::grid::{extent, Grid, Height};
 use crate::lanes::LANES;
 use crate::memory;
 use crate::predicate::{Point, SUB_BITS};
-use std::ops::Range;
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -160,7 +159,7 @@ impl Patch {
         part: Window,
     ) -> Result<()> {
         let stride = stride(window)?;
-        let count = part.rows * stride + LANES;
+        let count = (part.rows + 1) * stride;
         if self.z.len() < count {
             memory::ensure(size_of::<f32>() * count)?;
             self.z.resize(count, f32::NAN);
@@ -175,7 +174,7 @@ impl Patch {
 
     fn empty(window: Window, reference: f64) -> Result<Self> {
         let stride = stride(window)?;
-        let count = stride * window.rows + LANES;
+        let count = stride * (window.rows + 1);
         memory::ensure(size_of::<f32>() * count)?;
         let frame = Frame { reference, is_exact: false, largest: 0.0 };
         Ok(Patch { z: vec![f32::NAN; count], base: 0, stride, window, frame })
@@ -232,13 +231,26 @@ impl Patch {
         self.z[place - self.base]
     }
 
-    /// The heights at some places, of which eight can be read from any pixel on; nothing if the
-    /// patch does not hold them.
+    /// Eight heights from a place on, and from those below it: so many rows that the patch holds.
     #[inline(always)]
-    pub fn heights(&self, places: Range<usize>) -> &[f32] {
-        self.z
-            .get(places.start.wrapping_sub(self.base)..places.end.wrapping_sub(self.base))
-            .unwrap_or_default()
+    pub fn rows(&self, place: usize, count: usize) -> impl Iterator<Item = &[f32; LANES]> {
+        let start = place.wrapping_sub(self.base);
+        let rows = self.z.get(start..start.wrapping_add(count * self.stride)).unwrap_or_default();
+        rows.chunks_exact(self.stride).filter_map(|row| row.first_chunk())
+    }
+
+    /// The same where each time there are so many places to the next.
+    #[inline(always)]
+    pub fn rows_apart(
+        &self,
+        place: usize,
+        count: usize,
+        apart: usize,
+    ) -> impl Iterator<Item = &[f32; LANES]> {
+        let start = place.wrapping_sub(self.base);
+        let end = start.wrapping_add(count.saturating_sub(1) * apart + LANES * count.min(1));
+        let rows = self.z.get(start..end).unwrap_or_default();
+        rows.chunks(apart).filter_map(|row| row.first_chunk())
     }
 
     /// A lattice point relative to the first pixel.

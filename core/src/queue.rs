@@ -75,14 +75,13 @@ const BUCKETS: usize = 2 * 40 * 8;
 /// the bucket of the largest priorities is open; entries of the others wait unsorted,
 /// and most are stale by the time their bucket is opened.
 ///
-/// In an exact queue the open bucket is a heap, and the order of popping is that of
-/// one big heap. In a local queue it is worked off along a space-filling curve,
-/// together with what its insertions bring up: priorities are then in order only to
-/// an eighth, but the working set stays in the cache.
 pub struct Queue {
-    open: BinaryHeap<Candidate>,
-    /// A local queue's open bucket, the next entry last.
+    order: Order,
+    /// The open bucket where the order is exact,
+    heap: BinaryHeap<Candidate>,
+    /// and where it is not, the next entry last.
     batch: Vec<Candidate>,
+    is_heap: bool,
     /// The buckets; none before the first entry comes to wait.
     waiting: Vec<Vec<Candidate>>,
     /// More that wait, by rising buckets.
@@ -91,25 +90,35 @@ pub struct Queue {
     lowest: Option<usize>,
     /// The open bucket; entries at or above it do not wait.
     level: usize,
-    /// Pixel numbers from one row to the next, for the curve; `None` in an exact queue.
-    local: Option<u32>,
 }
 
-/// A local queue gets exact when a bucket holds more than this share of the points
-/// that may still be inserted, so that a stop by count does not favour one corner.
+/// In which order the candidates of a bucket are popped, together with what their insertions bring up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// By priority: the open bucket is a heap, and all goes as in one big heap.
+    Exact,
+    /// The last to come first, which is the fastest. As in the next, priorities are in order only to an eighth.
+    Latest,
+    /// Along a space-filling curve, so that the working set stays in the cache. Has the difference of
+    /// pixel numbers from one row to the next.
+    Curve(u32),
+}
+
+/// Any order is exact where a bucket holds more than this share of the points that may still be
+/// inserted, so that a stop by count does not favour one corner.
 const LAST_SHARE: usize = 4;
 
 impl Queue {
-    /// `local`: pixel numbers from one row to the next if the queue is to be local.
-    pub fn new(local: Option<u32>) -> Self {
+    pub fn new(order: Order) -> Self {
         Queue {
-            open: BinaryHeap::new(),
+            order,
+            heap: BinaryHeap::new(),
             batch: Vec::new(),
+            is_heap: order == Order::Exact,
             waiting: Vec::new(),
             parked: Vec::new(),
             lowest: None,
             level: BUCKETS,
-            local,
         }
     }
 
@@ -130,7 +139,7 @@ impl Queue {
     /// Drops the entries that are not wanted, and has the others wait in no more memory than they need.
     pub fn park(&mut self, is_wanted: impl Fn(&Candidate) -> bool) {
         self.level = BUCKETS;
-        let open = std::mem::take(&mut self.open).into_iter().chain(std::mem::take(&mut self.batch));
+        let open = std::mem::take(&mut self.heap).into_iter().chain(std::mem::take(&mut self.batch));
         open.for_each(|candidate| self.push(candidate));
         let count = self.parked.len() + self.waiting.iter().map(Vec::len).sum::<usize>();
         let mut parked = std::mem::take(&mut self.parked).into_iter().filter(&is_wanted).peekable();
@@ -163,9 +172,9 @@ impl Queue {
 
     /// The highest priority among those that `is_current` accepts.
     pub fn top(&mut self, is_current: impl Fn(&Candidate) -> bool) -> Option<f64> {
-        // One at a time: in exact order, also of a local queue.
+        // One at a time is in exact order.
         self.pop_over(f64::INFINITY, 1, is_current);
-        self.open.peek().map(|candidate| candidate.priority)
+        self.heap.peek().map(|candidate| candidate.priority)
     }
 
     /// The bucket of the largest priorities that wait, which becomes the open one.
@@ -191,10 +200,10 @@ impl Queue {
         let bucket = self.bucket(candidate.priority);
         if bucket < self.level {
             self.waiting[bucket].push(candidate);
-        } else if self.local.is_some() {
-            self.batch.push(candidate);
+        } else if self.is_heap {
+            self.heap.push(candidate);
         } else {
-            self.open.push(candidate);
+            self.batch.push(candidate);
         }
     }
 
@@ -212,29 +221,36 @@ impl Queue {
         is_current: impl Fn(&Candidate) -> bool,
     ) -> Option<Candidate> {
         loop {
-            while let Some(candidate) = self.batch.pop().or_else(|| self.open.pop()) {
+            while let Some(candidate) = self.batch.pop().or_else(|| self.heap.pop()) {
                 if is_current(&candidate) {
                     if candidate.priority > level {
                         return Some(candidate);
                     }
-                    self.open.push(candidate);
+                    self.heap.push(candidate);
                     return None;
                 }
             }
             let mut bucket = self.next_bucket()?;
             bucket.retain(&is_current);
-            match self.local {
-                Some(stride) if bucket.len() < remaining / LAST_SHARE => {
-                    let position =
-                        |pixel| curve_position(u64::from(pixel % stride), u64::from(pixel / stride));
-                    bucket.sort_by_cached_key(|c| (Reverse(position(c.pixel)), c.triangle));
-                    self.batch = bucket;
-                }
-                _ => {
-                    self.local = None;
-                    self.open = BinaryHeap::from(bucket);
-                }
+            let is_whole = self.floor() > level && bucket.len() < remaining / LAST_SHARE;
+            self.is_heap = !is_whole || self.order == Order::Exact;
+            if self.is_heap {
+                self.heap = BinaryHeap::from(bucket);
+                continue;
             }
+            if let Order::Curve(stride) = self.order {
+                let position = |pixel| curve_position(u64::from(pixel % stride), u64::from(pixel / stride));
+                bucket.sort_by_cached_key(|c| (Reverse(position(c.pixel)), c.triangle));
+            }
+            self.batch = bucket;
+        }
+    }
+
+    /// No priority in the open bucket is lower.
+    fn floor(&self) -> f64 {
+        match self.level {
+            0 => 0.0,
+            level => f64::from_bits(((self.lowest.unwrap_or(0) + level) as u64) << BUCKET_SHIFT),
         }
     }
 }
@@ -257,7 +273,7 @@ mod tests {
     proptest! {
         #[test]
         fn pops_in_total_order_and_skips_the_stale(errors in prop::collection::vec((0u8..5, 0u32..9, 0u32..4, 0u32..2), 0..60)) {
-            let mut queue = Queue::new(None);
+            let mut queue = Queue::new(Order::Exact);
             let mut expected = Vec::new();
             for (priority, pixel, triangle, version) in errors {
                 let candidate = Candidate { priority: f64::from(priority), pixel, triangle, version, pick: Pick::KNOWN };
@@ -273,7 +289,7 @@ mod tests {
         fn parking_changes_nothing(
             steps in prop::collection::vec((prop_oneof![0.0f64..9.0, Just(0.0), Just(f64::INFINITY), Just(1e-300)], 0u8..4), 0..80),
         ) {
-            let (mut plain, mut parked) = (Queue::new(None), Queue::new(None));
+            let (mut plain, mut parked) = (Queue::new(Order::Exact), Queue::new(Order::Exact));
             let is_current = |c: &Candidate| c.version == 0;
             for (i, (priority, step)) in (0..).zip(steps) {
                 let candidate = Candidate { priority, pixel: i, triangle: i, version: i % 3 / 2, pick: Pick::KNOWN };
@@ -299,12 +315,17 @@ mod tests {
         }
 
         #[test]
-        fn a_local_queue_pops_each_once_and_falls_by_buckets(priorities in prop::collection::vec(0.0f64..100.0, 0..200)) {
-            let mut queue = Queue::new(Some(10));
+        fn a_rough_order_pops_each_once_over_the_level_and_falls_by_buckets(
+            priorities in prop::collection::vec(0.0f64..100.0, 0..200), level in 0.0f64..50.0, is_curve: bool,
+        ) {
+            let mut queue = Queue::new(if is_curve { Order::Curve(10) } else { Order::Latest });
             for (i, &priority) in (0..).zip(&priorities) {
                 queue.push(Candidate { priority, pixel: i, triangle: i, version: 0, pick: Pick::KNOWN });
             }
-            let popped: Vec<_> = std::iter::from_fn(|| queue.pop(usize::MAX, |_| true)).collect();
+            let mut popped: Vec<_> = std::iter::from_fn(|| queue.pop_over(level, usize::MAX, |_| true)).collect();
+            let over = priorities.iter().filter(|&&priority| priority > level).count();
+            prop_assert_eq!(over, popped.len());
+            popped.extend(std::iter::from_fn(|| queue.pop(usize::MAX, |_| true)));
             for pair in popped.windows(2) {
                 prop_assert!(pair[1].priority <= 1.125 * pair[0].priority);
             }

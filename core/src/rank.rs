@@ -1,9 +1,11 @@
 //! Where a triangle stands against the rule: its priority, and how its pixel is to be found.
 
-use crate::facet::{Errors, Facet, Found};
+use crate::facet::Facet;
 use crate::grid::{Grid, Height};
-use crate::lanes::Vectors;
+use crate::lanes::{Kernel, Lanes, Part, Vectors};
+use crate::list::List;
 use crate::patch::Patch;
+use crate::predicate::Point;
 use crate::queue::Pick;
 use crate::rule::{quantile_index, Rule};
 use crate::select::Selector;
@@ -37,7 +39,7 @@ pub struct Ranker {
     /// Whether samples stand for the pixels of large triangles.
     pub is_sampling: bool,
     /// Scratch of the scans.
-    errors: Errors,
+    errors: List,
     selector: Selector,
 }
 
@@ -48,17 +50,17 @@ pub fn is_large(pixels: usize) -> bool {
 
 impl Ranker {
     pub fn new(vectors: Vectors) -> Self {
-        Ranker { vectors, is_sampling: false, errors: Errors::default(), selector: Selector::default() }
+        Ranker { vectors, is_sampling: false, errors: List::default(), selector: Selector::default() }
     }
 
     /// Gives back memory that is not in use.
     pub fn compact(&mut self) {
-        self.errors = Errors::default();
+        self.errors = List::default();
         self.selector = Selector::default();
     }
 
     /// The sample that stands for the triangle.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, facet: &Facet) -> Option<Facet> {
         if self.is_sampling {
             facet.sampled(SAMPLE)
@@ -67,36 +69,23 @@ impl Ranker {
         }
     }
 
-    /// Pixels that a look at the triangle takes, by their cost for the worst one.
-    pub fn work(&self, rule: &Rule, facet: &Facet) -> usize {
-        let pixels = if self.is_sampling { facet.pixels().min(2 * SAMPLE) } else { facet.pixels() };
-        if rule.is_max() {
-            pixels
-        } else {
-            4 * pixels
-        }
-    }
-
-    /// `None` if the triangle is within the tolerance; what a sample does not show to be beyond
-    /// it is scanned in full.
+    /// Where the triangle with corners `p` and heights `z` stands; `None` if it is within the tolerance.
+    /// What a sample does not show to be beyond it is scanned in full. And the work done in pixels.
     #[inline]
     pub fn rank<T: Height>(
         &mut self,
         grid: &Grid<T>,
         patch: &Patch,
         rule: &Rule,
-        facet: &Facet,
-    ) -> Option<Ranked> {
-        if let Some(sample) = self.sample(facet) {
-            if let Standing::Beyond(ranked) = self.stand(grid, patch, rule, &sample) {
-                return Some(ranked);
-            }
-        }
-        match self.stand(grid, patch, rule, facet) {
+        (p, z): ([Point; 3], [f64; 3]),
+    ) -> (Option<Ranked>, usize) {
+        let (standing, work) = self.vectors.run(Look { ranker: self, patch, rule, p, z });
+        let ranked = match standing {
             Standing::Within => None,
             Standing::Beyond(ranked) => Some(ranked),
-            Standing::Unclear => exactly(facet, patch, grid, rule),
-        }
+            Standing::Unclear => exactly(&Facet::new(patch, p, z), patch, grid, rule),
+        };
+        (ranked, work)
     }
 
     /// The pixel where the scan found this error.
@@ -106,37 +95,23 @@ impl Ranker {
         found.unwrap_or_else(|| facet.worst_up_to(error, patch, self.vectors)).place
     }
 
-    #[inline]
-    fn stand<T: Height>(&mut self, grid: &Grid<T>, patch: &Patch, rule: &Rule, facet: &Facet) -> Standing {
-        if rule.is_max() {
-            self.rank_by_worst(grid, patch, rule, facet)
-        } else {
-            self.rank_by_quantiles(patch, rule, facet)
-        }
-    }
-
     /// Garland and Heckbert's rule: the worst pixel, nothing else.
-    #[inline]
-    fn rank_by_worst<T: Height>(
-        &self,
-        grid: &Grid<T>,
-        patch: &Patch,
-        rule: &Rule,
-        facet: &Facet,
-    ) -> Standing {
-        let Found { error, place } = facet.worst(patch, self.vectors);
-        match verdict(patch, facet, error, rule.tolerance) {
+    #[inline(always)]
+    fn rank_by_worst<L: Lanes>(patch: &Patch, rule: &Rule, facet: &Facet) -> Standing {
+        let worst = facet.largest::<L>(patch);
+        match verdict(patch, facet, worst, rule.tolerance) {
             Verdict::Within => Standing::Within,
             Verdict::Unclear => Standing::Unclear,
             Verdict::Beyond => {
-                let priority = facet.error(patch, grid, place);
-                Standing::Beyond(Ranked { priority, place, pick: Pick::KNOWN })
+                let (place, pick) = (facet.first(patch), Pick::by_error(worst));
+                Standing::Beyond(Ranked { priority: worst.into(), place, pick })
             }
         }
     }
 
-    fn rank_by_quantiles(&mut self, patch: &Patch, rule: &Rule, facet: &Facet) -> Standing {
-        let worst = facet.collect(patch, self.vectors, &mut self.errors);
+    #[inline(always)]
+    fn rank_by_quantiles<L: Lanes>(&mut self, patch: &Patch, rule: &Rule, facet: &Facet) -> Standing {
+        let worst = facet.collect::<L>(patch, &mut self.errors);
         // The maximum bounds every quantile; what fits exactly needs no point.
         match verdict(patch, facet, worst, rule.tolerance) {
             Verdict::Within => return Standing::Within,
@@ -147,7 +122,7 @@ impl Ranker {
         let mut known = (1.0, worst);
         let mut quantile = |q: f64| {
             if q != known.0 {
-                known = (q, self.selector.nth(self.errors.values(), quantile_index(count, q), self.vectors));
+                known = (q, self.selector.nth::<L>(&self.errors, quantile_index(count, q)));
             }
             known.1
         };
@@ -163,7 +138,60 @@ impl Ranker {
         let ranked = quantile(rule.priority);
         let pixels = (count * facet.thinning()) as f64;
         let priority = rule.priority_of(f64::from(ranked), f64::from(worst), pixels);
-        Standing::Beyond(Ranked { priority, place: facet.middle(patch), pick: Pick::by_error(at) })
+        Standing::Beyond(Ranked { priority, place: facet.first(patch), pick: Pick::by_error(at) })
+    }
+}
+
+/// Looks at one triangle.
+struct Look<'a> {
+    ranker: &'a mut Ranker,
+    patch: &'a Patch,
+    rule: &'a Rule,
+    p: [Point; 3],
+    z: [f64; 3],
+}
+
+impl Kernel for Look<'_> {
+    type Output = (Standing, usize);
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> (Standing, usize) {
+        let Look { ranker, patch, rule, p, z } = self;
+        let facet = Facet::new(patch, p, z);
+        if let Some(sample) = ranker.sample(&facet) {
+            let standing = L::apart(Stand { ranker, patch, rule, facet: &sample });
+            if matches!(standing, Standing::Beyond(_)) {
+                return (standing, SAMPLE);
+            }
+        }
+        let standing = if rule.is_max() {
+            Ranker::rank_by_worst::<L>(patch, rule, &facet)
+        } else {
+            L::apart(Stand { ranker, patch, rule, facet: &facet })
+        };
+        (standing, facet.pixels)
+    }
+}
+
+/// Where a triangle or a sample of it stands.
+struct Stand<'a> {
+    ranker: &'a mut Ranker,
+    patch: &'a Patch,
+    rule: &'a Rule,
+    facet: &'a Facet,
+}
+
+impl<L: Lanes> Part<L> for Stand<'_> {
+    type Output = Standing;
+
+    #[inline(always)]
+    fn run(self) -> Standing {
+        let Stand { ranker, patch, rule, facet } = self;
+        if rule.is_max() {
+            Ranker::rank_by_worst::<L>(patch, rule, facet)
+        } else {
+            ranker.rank_by_quantiles::<L>(patch, rule, facet)
+        }
     }
 }
 
@@ -174,7 +202,7 @@ enum Verdict {
     Unclear,
 }
 
-#[inline]
+#[inline(always)]
 fn verdict(patch: &Patch, facet: &Facet, error: f32, tolerance: f64) -> Verdict {
     if !facet.is_in_range(patch) {
         return Verdict::Unclear;

@@ -9,7 +9,7 @@ use crate::mesh::{triangle_of, Class};
 use crate::patch::{Patch, Window};
 use crate::predicate::Point;
 use crate::progress::Progress;
-use crate::queue::{Candidate, Pick, Queue};
+use crate::queue::{Candidate, Order, Pick, Queue};
 use crate::rank::{is_large, Ranked, Ranker};
 use crate::rule::Rule;
 use crate::surface::Surface;
@@ -75,7 +75,7 @@ impl Refiner {
         Refiner {
             surface,
             ranker: Ranker::new(vectors),
-            queue: Queue::new(None),
+            queue: Queue::new(Order::Exact),
             around: Vec::new(),
             scaffolding,
         }
@@ -143,7 +143,11 @@ impl Refiner {
             // For the errors of a triangle that covers all of it, while their lists grow.
             memory::ensure(32 * patch.size())?;
         }
-        self.queue = Queue::new(is_large.then_some(patch.stride() as u32));
+        self.queue = Queue::new(match (is_large, self.ranker.is_sampling) {
+            (true, _) => Order::Curve(patch.stride() as u32),
+            (_, true) => Order::Latest,
+            _ => Order::Exact,
+        });
         let all = vec![true; self.surface.mesh.triangles().len()];
         self.enqueue_those(&all, grid, patch, rule, progress)
     }
@@ -360,11 +364,11 @@ impl Refiner {
             return 0;
         }
         let version = triangle.version;
-        let facet = self.facet(patch, t);
-        let ranked = self.ranker.rank(grid, patch, rule, &facet);
+        let triangle = (self.surface.mesh.corners(t), self.surface.heights(t));
+        let (ranked, work) = self.ranker.rank(grid, patch, rule, triangle);
         if let Some(Ranked { priority, place, pick }) = ranked {
             self.queue.push(Candidate { priority, pixel: place as u32, triangle: t, version, pick });
         }
-        self.ranker.work(rule, &facet)
+        work
     }
 }

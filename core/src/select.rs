@@ -1,20 +1,13 @@
 //! The k-th smallest of some errors, without sorting them.
 
-use crate::lanes::{Kernel, Lanes, Vectors, LANES};
+use crate::lanes::{Lanes, Part, LANES};
+use crate::list::List;
 
 /// Scratch memory of a selection.
 #[derive(Default)]
 pub struct Selector {
-    rest: Vec<f32>,
-    next: Vec<f32>,
-}
-
-impl Selector {
-    /// The value that `k` others precede when all are sorted; none is negative, infinite or NaN.
-    #[inline]
-    pub fn nth(&mut self, values: &[f32], k: usize, vectors: Vectors) -> f32 {
-        vectors.run(Nth { values, k, selector: self })
-    }
+    rest: List,
+    next: List,
 }
 
 /// Vectors few enough for comparing all their values with each other.
@@ -25,12 +18,6 @@ const SAMPLE: usize = 2;
 
 /// Ranks in the sample on either side between which that is thought to be.
 const REACH: usize = 3;
-
-struct Nth<'a> {
-    values: &'a [f32],
-    k: usize,
-    selector: &'a mut Selector,
-}
 
 /// Which part of a list to keep.
 #[derive(Clone, Copy, PartialEq)]
@@ -43,26 +30,42 @@ enum Guess {
     Range,
 }
 
-impl Kernel for Nth<'_> {
+impl Selector {
+    /// The value that `k` others precede when all are sorted; none is negative, infinite or NaN.
+    #[inline(always)]
+    pub fn nth<L: Lanes>(&mut self, list: &List, k: usize) -> f32 {
+        L::apart(Nth { list, k, selector: self })
+    }
+}
+
+struct Nth<'a> {
+    list: &'a List,
+    k: usize,
+    selector: &'a mut Selector,
+}
+
+impl<L: Lanes> Part<L> for Nth<'_> {
     type Output = f32;
 
     /// Narrows the range of the value (Floyd and Rivest 1975) until few are left in it.
     #[inline(always)]
-    fn run<L: Lanes>(self) -> f32 {
-        let Nth { values, mut k, selector: Selector { rest, next } } = self;
+    fn run(self) -> f32 {
+        let Nth { list: all, mut k, selector: Selector { rest, next } } = self;
         let (mut low, mut high) = (0.0, f32::MAX);
-        let (mut guess, mut kept) = (Guess::Sample, None);
+        let (mut guess, mut is_all) = (Guess::Sample, true);
         loop {
-            let list = kept.map_or(values, |count| &rest[..count]);
-            if list.len() <= FEW * LANES {
+            let list = if is_all { all } else { &*rest };
+            let count = list.values().len();
+            if count <= FEW * LANES {
                 return nth_of_few::<L>(list, k);
             }
             let (from, to) = match guess {
-                Guess::Sample => bracket::<L>(list, k, low, high),
+                Guess::Sample => bracket::<L>(list.values(), k, low, high),
                 Guess::Half => (low, f32::from_bits(low.to_bits().midpoint(high.to_bits()))),
                 Guess::Range => (low, high),
             };
-            let (under, within) = keep::<L>(list, from, to, next);
+            let under = keep::<L>(list, from, to, next);
+            let within = next.values().len();
             if k < under {
                 (high, guess) = (from.next_down(), Guess::Range);
             } else if k >= under + within {
@@ -72,27 +75,17 @@ impl Kernel for Nth<'_> {
                 if low == high {
                     return low;
                 }
-                guess = if 4 * within < 3 * list.len() { Guess::Sample } else { Guess::Half };
+                guess = if 4 * within < 3 * count { Guess::Sample } else { Guess::Half };
                 std::mem::swap(rest, next);
-                (k, kept) = (k - under, Some(within));
+                (k, is_all) = (k - under, false);
             }
         }
     }
 }
 
-/// Eight values; the end of a list is filled up with what no selection finds.
 #[inline(always)]
-fn filled_up(end: &[f32]) -> [f32; LANES] {
-    let mut chunk = [f32::INFINITY; LANES];
-    for (into, &value) in chunk.iter_mut().zip(end) {
-        *into = value;
-    }
-    chunk
-}
-
-#[inline(always)]
-fn nth_of_few<L: Lanes>(list: &[f32], k: usize) -> f32 {
-    match list.len().div_ceil(LANES) {
+fn nth_of_few<L: Lanes>(list: &List, k: usize) -> f32 {
+    match list.vectors().len() {
         0 | 1 => nth_of::<L, 1>(list, k),
         2 => nth_of::<L, 2>(list, k),
         3 => nth_of::<L, 3>(list, k),
@@ -101,13 +94,12 @@ fn nth_of_few<L: Lanes>(list: &[f32], k: usize) -> f32 {
 }
 
 #[inline(always)]
-fn nth_of<L: Lanes, const N: usize>(list: &[f32], k: usize) -> f32 {
-    let (chunks, end) = list.as_chunks();
-    let mut vectors = [L::load(&filled_up(end)); N];
-    for (vector, chunk) in vectors.iter_mut().zip(chunks) {
+fn nth_of<L: Lanes, const N: usize>(list: &List, k: usize) -> f32 {
+    let mut vectors = [L::splat(f32::INFINITY); N];
+    for (vector, chunk) in vectors.iter_mut().zip(list.vectors()) {
         *vector = L::load(chunk);
     }
-    of_rank::<L, N>(vectors, ranks::<L, N>(vectors, list), k)
+    of_rank::<L, N>(vectors, ranks::<L, N>(vectors, list.values()), k)
 }
 
 /// How many values of the list are smaller than each of the vectors'.
@@ -130,9 +122,9 @@ fn of_rank<L: Lanes, const N: usize>(vectors: [L::F; N], ranks: [L::I; N], k: us
     let mut largest = none;
     for (vector, rank) in vectors.into_iter().zip(ranks) {
         let value = L::where_negative(L::add_i(rank, beyond), vector, none);
-        largest = L::choose(L::greater(value, largest), value, largest);
+        largest = L::max(value, largest);
     }
-    L::first_largest(largest, L::splat_i(0)).0
+    L::largest(largest)
 }
 
 /// Between which values the k-th is thought to lie.
@@ -154,40 +146,49 @@ fn bracket<L: Lanes>(list: &[f32], k: usize, low: f32, high: f32) -> (f32, f32) 
     (from, to)
 }
 
-/// Moves the values in a range to the front of `into`; says how many lie under it and in it.
+/// Has `into` take the values in a range; says how many lie under it.
 #[inline(always)]
-fn keep<L: Lanes>(list: &[f32], from: f32, to: f32, into: &mut Vec<f32>) -> (usize, usize) {
-    if into.len() < list.len() + LANES {
-        into.resize(2 * list.len() + LANES, 0.0);
-    }
-    let (chunks, end) = list.as_chunks();
+fn keep<L: Lanes>(list: &List, from: f32, to: f32, into: &mut List) -> usize {
+    let (least, most) = (L::splat(from), L::splat(to));
+    let values = into.start(list.values().len() + LANES);
     let (mut under, mut within) = (0, 0);
-    for chunk in chunks.iter().chain([&filled_up(end)]) {
-        let values = L::load(chunk);
-        let is_under = L::greater(L::splat(from), values);
-        let is_over = L::greater(values, L::splat(to));
+    for chunk in list.vectors() {
+        let chunk = L::load(chunk);
+        let is_under = L::greater(least, chunk);
+        let is_over = L::greater(chunk, most);
         under += L::count(is_under);
-        if let Some(into) = into[within..].first_chunk_mut() {
-            within += L::compress(L::neither(is_under, is_over), values, into);
-        }
+        within += L::compress(L::neither(is_under, is_over), chunk, values, within);
     }
-    (under, within)
+    into.end(within);
+    under
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lanes::{Kernel, Vectors};
     use proptest::prelude::*;
+
+    struct Find<'a>(&'a List, usize);
+
+    impl Kernel for Find<'_> {
+        type Output = f32;
+
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> f32 {
+            Selector::default().nth::<L>(self.0, self.1)
+        }
+    }
 
     proptest! {
         #[test]
         fn agrees_with_sorting(values in prop::collection::vec(prop_oneof![0.0f32..1.0, (0u8..4).prop_map(f32::from), any::<u32>().prop_map(|b| f32::from_bits(b % 0x7f80_0000))], 1..700)) {
             let mut sorted = values.clone();
             sorted.sort_unstable_by(f32::total_cmp);
-            let mut selector = Selector::default();
+            let list: List = values.iter().copied().collect();
             for k in (0..values.len()).step_by(7).chain([values.len() - 1]) {
                 for vectors in [Vectors::Plain, Vectors::best()] {
-                    let found = selector.nth(&values, k, vectors);
+                    let found = vectors.run(Find(&list, k));
                     prop_assert_eq!(found.to_bits(), sorted[k].to_bits());
                 }
             }

@@ -78,6 +78,21 @@ impl Triangle {
         self.flags >> k & SEAM != 0
     }
 
+    /// Corners, each with the twin and the marks of the edge that leaves it, from corner `k` on.
+    #[inline(always)]
+    pub(crate) fn from(&self, k: u32) -> [(u32, (u32, u32)); 3] {
+        const TURNS: [[usize; 3]; 4] = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0; 3]];
+        TURNS[(k & 3) as usize].map(|k| (self.v[k], (self.twin[k], self.flags >> k & EDGE)))
+    }
+
+    /// What becomes of it with other corners and, for each edge, a twin and marks.
+    #[inline(always)]
+    pub(crate) fn changed(&self, v: [u32; 3], edges: [(u32, u32); 3]) -> Self {
+        let [(x, on_x), (y, on_y), (z, on_z)] = edges;
+        let flags = self.flags & CLASS | on_x | on_y << 1 | on_z << 2;
+        Triangle { v, twin: [x, y, z], flags, version: self.version.wrapping_add(1) }
+    }
+
     /// The same triangle in a mesh with other numbers.
     pub(crate) fn renumbered(&self, vertex: impl FnMut(u32) -> u32, twin: impl FnMut(u32) -> u32) -> Self {
         Triangle { v: self.v.map(vertex), twin: self.twin.map(twin), ..*self }

@@ -1,6 +1,6 @@
 //! The pixels of a triangle, eight at a time and in single precision.
 
-use crate::lanes::{Lanes, LANES};
+use crate::lanes::{Lanes, Part, LANES};
 use crate::patch::Patch;
 use crate::predicate::{orient2d, Point, SUB_BITS, UNIT};
 use crate::scan::{rows_between, Plane, Side, Spans};
@@ -32,11 +32,14 @@ pub struct Walk {
     rows: i32,
 }
 
-/// What is to be done on the way.
+/// What is to be done on the way. All of it must be `#[inline(always)]`, like all that a kernel runs.
 pub trait Visitor<L: Lanes> {
-    /// Eight errors and their places; the error is -1 beside the triangle and NaN where there
-    /// is no candidate. Must be `#[inline(always)]`, like all that a kernel runs.
-    fn see(&mut self, error: L::F, place: L::I);
+    /// The next eight errors are those from this place on; with each look it moves on by `further`.
+    fn move_to(&mut self, _place: usize, _further: usize) {}
+
+    /// Eight errors; one is -1 beside the triangle and NaN where there is no candidate.
+    /// Returns whether that was all there is to look for.
+    fn see(&mut self, error: L::F) -> bool;
 }
 
 /// A triangle's area in pixels, which is about their number.
@@ -52,15 +55,16 @@ impl Walk {
     }
 
     /// Pixels that each of those walked stands for.
+    #[inline(always)]
     pub fn thinning(&self) -> usize {
         (self.strips * self.rows) as usize
     }
 
-    /// Over about so many pixels alone, evenly spread, if there are at least twice as many and
+    /// Over about one pixel of so many alone, evenly spread, if it is one of two at most and
     /// the triangle is not too large or narrow for that.
     #[inline(always)]
-    pub fn sampled(&self, pixels: usize) -> Option<Self> {
-        let ratio = (pixels_of(self.p) / pixels) as i32;
+    pub fn sampled(&self, ratio: usize) -> Option<Self> {
+        let ratio = ratio as i32;
         let [cols, height] = self.size();
         if ratio < 2 || !self.is_whole() || cols < NARROW || cols.max(height) >= MAX_WHOLE_SIDE {
             return None;
@@ -75,6 +79,7 @@ impl Walk {
     }
 
     /// Whether all corners are pixels.
+    #[inline(always)]
     fn is_whole(&self) -> bool {
         let [a, b, c] = self.p;
         (a.x | a.y | b.x | b.y | c.x | c.y) & (UNIT - 1) == 0
@@ -91,6 +96,7 @@ impl Walk {
     }
 
     /// Columns and rows beyond the first.
+    #[inline(always)]
     fn size(&self) -> [i32; 2] {
         let [left, top, right, bottom] = self.bounds();
         [right - left, bottom - top]
@@ -104,54 +110,73 @@ impl Walk {
         ((cols / (LANES as i32 * self.strips) + 2) * (rows / self.rows + 2)) as usize * LANES
     }
 
-    /// Shows the pixels to the visitor.
+    /// Shows the pixels to the visitor, and gives it back.
     #[inline(always)]
-    pub fn run<L: Lanes>(&self, patch: &Patch, visitor: &mut impl Visitor<L>) {
+    pub fn run<L: Lanes, V: Visitor<L>>(&self, patch: &Patch, mut visitor: V) -> V {
+        let [left, top, right, bottom] = self.bounds();
+        let rows = bottom - top;
+        if right - left >= NARROW || rows >= MAX_SIDE {
+            return L::apart(Wide { walk: self, patch, visitor });
+        }
+        let mut col = left;
+        while col <= right {
+            let at = top as usize * patch.stride() + col as usize;
+            visitor.move_to(at, patch.stride());
+            let heights = patch.rows(at, (rows + 1) as usize);
+            if self.strip(heights, [col, top, 0], self.p, (SUB_BITS, 1), &mut visitor) {
+                break;
+            }
+            col += LANES as i32;
+        }
+        visitor
+    }
+
+    /// The same if the triangle is wide or high.
+    #[inline(always)]
+    fn wide<L: Lanes>(&self, patch: &Patch, visitor: &mut impl Visitor<L>) {
         let [left, top, right, bottom] = self.bounds();
         let (cols, rows) = (right - left, bottom - top);
-        if cols < NARROW && rows < MAX_SIDE {
-            let mut left = left;
-            while left <= right {
-                self.strip(patch, [left, top, bottom], self.p, (SUB_BITS, 1), visitor);
-                left += LANES as i32;
-            }
-            return;
-        }
         // Corners on pixels need no finer lattice.
         let (p, bits, most) = if self.is_whole() {
             (self.p.map(|p| Point { x: p.x >> SUB_BITS, y: p.y >> SUB_BITS }), 0, MAX_WHOLE_SIDE)
         } else {
             (self.p, SUB_BITS, MAX_SIDE)
         };
-        if cols < most && rows < most {
-            // Relative to where single precision is exact.
-            let [a, b, c] = self.p.map(|p| [p.x - (left << SUB_BITS), p.y - (top << SUB_BITS)]);
-            let sides = [Side::new(a, b), Side::new(b, c), Side::new(c, a)];
-            let mut col = 0;
-            while col <= cols {
-                let (first, last) = rows_between(&sides, col as f32, (col + LANES as i32 - 1) as f32);
-                let first = (first.max(0) + self.rows - 1) / self.rows * self.rows;
-                let [first, last] = [first, last.min(rows)].map(|row| top + row);
-                self.strip(patch, [left + col, first, last], p, (bits, self.rows), visitor);
-                col += LANES as i32 * self.strips;
+        if cols >= most || rows >= most {
+            return self.spans(patch, visitor);
+        }
+        // Relative to where single precision is exact.
+        let [a, b, c] = self.p.map(|p| [p.x - (left << SUB_BITS), p.y - (top << SUB_BITS)]);
+        let sides = [Side::new(a, b), Side::new(b, c), Side::new(c, a)];
+        let mut col = 0;
+        while col <= cols {
+            let (first, last) = rows_between(&sides, col as f32, (col + LANES as i32 - 1) as f32);
+            let first = (first.max(0) + self.rows - 1) / self.rows;
+            let count = (last.min(rows) / self.rows + 1 - first).max(0) as usize;
+            let every = self.rows as usize * patch.stride();
+            let at = top as usize * patch.stride() + first as usize * every + (left + col) as usize;
+            visitor.move_to(at, every);
+            let heights = patch.rows_apart(at, count, every);
+            if self.strip(heights, [left + col, top, first], p, (bits, self.rows), visitor) {
+                return;
             }
-        } else {
-            self.spans(patch, visitor);
+            col += LANES as i32 * self.strips;
         }
     }
 
-    /// A strip of columns that fit one vector, every so many rows: inside is where no edge
-    /// function is negative (Pineda 1988). `p` are the corners with so many bits below the pixel.
+    /// A strip of columns that fit one vector: inside is where no edge function is negative (Pineda
+    /// 1988). Its heights lie in `every` so many rows from `top` on, beginning with the `first` of those.
+    /// `p` are the corners with so many bits below the pixel.
     #[inline(always)]
-    fn strip<L: Lanes>(
+    fn strip<'h, L: Lanes>(
         &self,
-        patch: &Patch,
-        [left, top, bottom]: [i32; 3],
+        heights: impl Iterator<Item = &'h [f32; LANES]>,
+        [left, top, first]: [i32; 3],
         p: [Point; 3],
         (bits, every): (u32, i32),
         visitor: &mut impl Visitor<L>,
-    ) {
-        let (x, y) = (left << bits, top << bits);
+    ) -> bool {
+        let (x, y) = (left << bits, (top + first * every) << bits);
         let edge = |k: usize| {
             let (a, b) = (p[k], p[(k + 1) % 3]);
             let (dx, dy) = (b.x - a.x, b.y - a.y);
@@ -163,22 +188,19 @@ impl Walk {
         let across = L::mul(L::splat(plane.per_col as f32), L::to_f(L::ramp(0, 1)));
         let start = L::add(start, across);
         let (slope, step) = (L::splat(plane.per_row as f32), L::splat(every as f32));
-        let mut down = L::splat(0.0);
-        let stride = patch.stride() * every as usize;
-        let at = top as usize * patch.stride() + left as usize;
-        let mut place = L::ramp(at as i32, 1);
-        let further = L::splat_i(stride as i32);
-        let end = bottom as usize * patch.stride() + left as usize + LANES;
-        for row in patch.heights(at..end).chunks(stride) {
-            let Some(heights) = row.first_chunk() else { return };
+        // From the first row of all, so that a sample finds the errors that the whole has.
+        let mut down = L::splat((first * every) as f32);
+        for heights in heights {
             let level = L::add(start, L::mul(slope, down));
             let error = L::abs(L::sub(L::load(heights), level));
             let outside = L::or_i(L::or_i(e0, e1), e2);
-            visitor.see(L::where_negative(outside, L::splat(-1.0), error), place);
+            if visitor.see(L::where_negative(outside, L::splat(-1.0), error)) {
+                return true;
+            }
             (e0, e1, e2) = (L::add_i(e0, down0), L::add_i(e1, down1), L::add_i(e2, down2));
             down = L::add(down, step);
-            place = L::add_i(place, further);
         }
+        false
     }
 
     #[inline(always)]
@@ -189,16 +211,35 @@ impl Walk {
         for (row, first, end) in Spans::new(self.p) {
             let start = L::splat(plane.at(plane.on_row(row), first) as f32);
             let mut across = ramp;
-            let mut at = row * patch.stride() + first;
-            let last = row * patch.stride() + end;
-            while at < last {
-                let Some(heights) = patch.heights(at..at + LANES).first_chunk() else { return };
+            let at = row * patch.stride() + first;
+            visitor.move_to(at, LANES);
+            let mut left = (end - first) as i32;
+            for heights in patch.rows_apart(at, (end - first).div_ceil(LANES), LANES) {
                 let error = L::abs(L::sub(L::sub(L::load(heights), start), L::mul(slope, across)));
-                let inside = L::ramp(at as i32 - last as i32, 1);
-                visitor.see(L::where_negative(inside, error, L::splat(-1.0)), L::ramp(at as i32, 1));
+                let inside = L::ramp(-left, 1);
+                if visitor.see(L::where_negative(inside, error, L::splat(-1.0))) {
+                    return;
+                }
                 across = L::add(across, lanes);
-                at += LANES;
+                left -= LANES as i32;
             }
         }
+    }
+}
+
+/// A walk that is wide or high.
+struct Wide<'a, V> {
+    walk: &'a Walk,
+    patch: &'a Patch,
+    visitor: V,
+}
+
+impl<L: Lanes, V: Visitor<L>> Part<L> for Wide<'_, V> {
+    type Output = V;
+
+    #[inline(always)]
+    fn run(mut self) -> V {
+        self.walk.wide(self.patch, &mut self.visitor);
+        self.visitor
     }
 }
