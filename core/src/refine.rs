@@ -298,7 +298,7 @@ impl Refiner {
         };
         let pixel = patch.pixel(found);
         let place = self.surface.mesh.place_in(Point::pixel(pixel.0, pixel.1), best.triangle);
-        (pixel, grid.at(pixel.0, pixel.1), place)
+        (pixel, patch.height(found, grid), place)
     }
 
     #[inline]
