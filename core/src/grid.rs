@@ -2,6 +2,8 @@
 
 use crate::error::{Error, Result};
 use crate::predicate::{Point, MAX_SIDE, SUB_BITS, UNIT};
+use crate::progress::Progress;
+use crate::threads::spread;
 use std::ops::Sub;
 
 /// A sample type of the raster; arithmetic whose rounding matters is done in `f64`.
@@ -67,14 +69,12 @@ fn foremost<T: Height>(heights: &[T], none: T, is_before: impl Fn(T, T) -> bool)
     rest.iter().chain(&first).fold(none, |all, &height| before(height, all))
 }
 
-/// The largest |height|, 0 if all are void.
-pub fn largest<T: Height>(heights: &[T]) -> f64 {
-    let (low, high) = extent(heights);
-    if low <= high {
-        low.abs().max(high.abs())
-    } else {
-        0.0
-    }
+/// The largest |height|, 0 if all are void. Errors: `cancelled`.
+pub fn largest<T: Height>(heights: &[T], progress: &mut Progress) -> Result<f64> {
+    const CHUNK: usize = 1 << 18;
+    let extents = spread(progress, heights.chunks(CHUNK), |chunk, _| Ok(extent(chunk)))?;
+    let known = extents.into_iter().filter(|(low, high)| low <= high);
+    Ok(known.fold(0.0, |largest, (low, high)| low.abs().max(high.abs()).max(largest)))
 }
 
 /// Borrowed heights of a `rows` x `cols` raster; a NaN is a void pixel.

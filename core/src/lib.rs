@@ -1,7 +1,7 @@
 //! Exact incremental Delaunay refinement of digital elevation models.
 //!
 //! Modules, each using only those above it: `predicate`, `curve`, `grid`, `mesh` (`check`,
-//! `constrain`), `scan`, `lanes`, `patch`, `walk`, `facet`, `noise`, `smoother`, `scale`, `outline`,
+//! `constrain`), `scan`, `lanes` (`list`), `patch`, `walk`, `facet`, `noise`, `smoother` (`lines`), `scale`, `outline`,
 //! `queue`, `rule`, `rank`, `refine`, `tiles`, `outlook`, `ladder`, `sight` (`moments`, `owned`), `fit` (`normal`), `blend`, `flip`,
 //! `pipeline`; `python` is the binding.
 
@@ -22,6 +22,7 @@ pub mod grid;
 pub mod label;
 pub mod ladder;
 pub mod lanes;
+mod lines;
 pub mod list;
 pub mod locate;
 pub mod measure;

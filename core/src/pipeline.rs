@@ -112,7 +112,7 @@ pub fn triangulate<T: Height>(
     options: &Options,
     progress: &mut Progress,
 ) -> Result<Triangulation> {
-    let largest = largest(grid.z());
+    let largest = largest(grid.z(), progress)?;
     validate(options, grid, largest)?;
     let rounding = ROUNDING * largest;
     let Images { data: whole, spikes, noise } = prepare(grid, options, progress)?;

@@ -4,7 +4,7 @@
 use crate::error::Result;
 use crate::grid::{Grid, Height};
 use crate::lanes::{Kernel, Lanes, Vectors};
-use crate::memory;
+use crate::lines::Lines;
 use crate::progress::Progress;
 use std::ops::Range;
 
@@ -58,7 +58,7 @@ impl<'g, T: Height> Smoother<'g, T> {
         let reach = strip + kx.len() - 1 + BLOCK;
         let moments = [(); 5].map(|()| vec![0.0; reach]);
         let (mass, sum) = (vec![0.0; strip], vec![0.0; strip]);
-        let lines = Lines::new(grid, ky.len(), reach)?;
+        let lines = Lines::new(grid, ky.len(), reach.min(grid.cols()).next_multiple_of(BLOCK))?;
         let spread = |k: &[f64]| k.iter().zip(offsets(k)).map(|(w, d)| w * d * d).sum::<f64>();
         let least_spread = LEAST_SPREAD * spread(kx) * spread(ky);
         let cut_off = Vec::new();
@@ -266,60 +266,6 @@ fn weigh_all<'l>(weights: &[f64], pair: impl Fn(usize) -> [&'l [f64]; 2], into: 
             }
         }
         *into = sum;
-    }
-}
-
-/// The rows that a kernel covers, for the columns of a strip. Each is read once.
-struct Lines {
-    z: Vec<f64>,
-    width: usize,
-    has_void: Vec<bool>,
-    /// The row after the last one read.
-    end: usize,
-}
-
-impl Lines {
-    fn new<T: Height>(grid: &Grid<T>, count: usize, reach: usize) -> Result<Self> {
-        // A kernel higher than the raster is cut off everywhere.
-        let count = if count <= grid.rows() { count } else { 0 };
-        let width = reach.min(grid.cols()).next_multiple_of(BLOCK);
-        memory::ensure(size_of::<f64>() * count * width)?;
-        Ok(Lines { z: vec![0.0; count * width], width, has_void: vec![false; count], end: 0 })
-    }
-
-    /// Other columns follow.
-    fn clear(&mut self) {
-        self.end = 0;
-    }
-
-    /// Reads the columns of those of the rows, as many as there are lines, that lie after the
-    /// last one read; whether no pixel of them all is void.
-    #[inline(always)]
-    fn hold<T: Height>(&mut self, grid: &Grid<T>, rows: Range<usize>, columns: Range<usize>) -> bool {
-        for row in rows.start.max(self.end)..rows.end {
-            let at = row % self.has_void.len();
-            let mut has_void = false;
-            for (into, z) in self.z[at * self.width..].iter_mut().zip(&grid.row(row)[columns.clone()]) {
-                *into = z.to_f64();
-                has_void |= into.is_nan();
-            }
-            self.has_void[at] = has_void;
-        }
-        self.end = rows.end;
-        !self.has_void.contains(&true)
-    }
-
-    /// The lines at a distance from the one of `row`, the middle one.
-    #[inline(always)]
-    fn around<'l>(&'l self, row: usize) -> impl Fn(usize) -> [&'l [f64]; 2] {
-        let count = self.has_void.len();
-        let middle = row % count;
-        move |distance| {
-            [middle + count - distance, middle + distance].map(|at| {
-                let at = if at >= count { at - count } else { at };
-                &self.z[at * self.width..][..self.width]
-            })
-        }
     }
 }
 
