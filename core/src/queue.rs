@@ -62,14 +62,14 @@ impl PartialEq for Candidate {
 
 impl Eq for Candidate {}
 
-/// Bits of a priority that name its bucket: exponent and three of the mantissa.
-const BUCKET_SHIFT: u32 = 52 - 3;
+/// Bits of a priority that name its bucket: exponent and four of the mantissa.
+const BUCKET_SHIFT: u32 = 52 - 4;
 /// And its part of that, where priorities are to be known better.
-const BINS: usize = 8;
+const BINS: usize = 4;
 const BIN_SHIFT: u32 = BUCKET_SHIFT - BINS.ilog2();
 /// Buckets kept apart, 40 octaves on either side of the first priority; what lies
 /// beyond shares the outermost ones.
-const BUCKETS: usize = 2 * 40 * 8;
+const BUCKETS: usize = 2 * 40 * 16;
 
 /// Entries whose triangle has changed are not removed but dropped when met. Only
 /// the bucket of the largest priorities is open; entries of the others wait unsorted,
@@ -97,7 +97,7 @@ pub struct Queue {
 pub enum Order {
     /// By priority: the open bucket is a heap, and all goes as in one big heap.
     Exact,
-    /// The last to come first, which is the fastest. As in the next, priorities are in order only to an eighth.
+    /// The last to come first, which is the fastest. As in the next, priorities are in order only to a sixteenth.
     Latest,
     /// Along a space-filling curve, so that the working set stays in the cache. Has the difference of
     /// pixel numbers from one row to the next.
@@ -327,7 +327,7 @@ mod tests {
             prop_assert_eq!(over, popped.len());
             popped.extend(std::iter::from_fn(|| queue.pop(usize::MAX, |_| true)));
             for pair in popped.windows(2) {
-                prop_assert!(pair[1].priority <= 1.125 * pair[0].priority);
+                prop_assert!(pair[1].priority <= 1.0625 * pair[0].priority);
             }
             let mut seen: Vec<_> = popped.iter().map(|c| c.triangle).collect();
             seen.sort_unstable();
