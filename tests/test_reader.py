@@ -10,9 +10,9 @@ import rasterio
 import rasterio.shutil
 from affine import Affine
 from rasterio.control import GroundControlPoint
-from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 from rasterio.vrt import WarpedVRT
+from rasters import COLS, HEIGHTS, ROWS, UTM, code_of, edit, write
 
 from tin.dem import DEM
 from tin.errors import InputError
@@ -20,43 +20,11 @@ from tin.reader import open as open_dem
 
 SAMPLES = Path(__file__).parents[1] / "sample_dem"
 DATA = Path(__file__).parents[2] / "shared" / "data"
-UTM = Affine(30, 0, 557805, 0, -30, 5122005)  # pixel centres on multiples of 30, as USGS DEM wants
-ROWS, COLS = 40, 50
-HEIGHTS = (1000 + 10 * np.arange(ROWS)[:, None] + np.arange(COLS)).astype(np.int16)
-HEIGHTS.flags.writeable = False
-
-
-def write(path, heights=HEIGHTS, *, driver="GTiff", transform=UTM, crs="EPSG:26710", **profile):
-    """Write a raster with rasterio and return its path; `heights` may have several bands."""
-    bands = np.atleast_3d(heights.T).T if heights.ndim == 2 else heights
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        profile = {"count": len(bands), "height": bands.shape[1], "width": bands.shape[2], **profile}
-        with rasterio.open(
-            path, "w", driver=driver, dtype=bands.dtype, transform=transform, crs=crs, **profile
-        ) as dataset:
-            dataset.write(bands)
-    return path
 
 
 def convert(source, path, driver, **options):
     rasterio.shutil.copy(source, path, driver=driver, **options)
     return path
-
-
-def edit(path, function):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path, "r+") as dataset:
-            function(dataset)
-    return path
-
-
-def code_of(path, **options):
-    with pytest.raises(InputError) as caught:
-        open_dem(path, **options)
-    assert "\n" not in str(caught.value)
-    return caught.value.code
 
 
 def assert_is_the_grid(dem, *, crs="EPSG:26710"):
@@ -180,169 +148,6 @@ def test_dtypes(tmp_path, dtype, working):
     dem = open_dem(write(tmp_path / "dem.tif", heights))
     assert dem.z.dtype == working
     np.testing.assert_array_equal(dem.z, heights)
-
-
-# Plain height images
-
-
-def test_png_16_bit(tmp_path):
-    path = write(tmp_path / "dem.png", HEIGHTS.astype(np.uint16), driver="PNG", transform=None, crs=None)
-    dem = open_dem(path)
-    np.testing.assert_array_equal(dem.z, HEIGHTS)
-    assert (dem.transform, dem.crs) == ((1, 0, 0, 0, -1, ROWS), None)
-
-
-def test_float_tiff_without_georeference(tmp_path):
-    dem = open_dem(write(tmp_path / "dem.tif", HEIGHTS / np.float32(3), transform=None, crs=None))
-    np.testing.assert_array_equal(dem.z, HEIGHTS / np.float32(3))
-    assert (dem.transform, dem.crs) == ((1, 0, 0, 0, -1, ROWS), None)
-
-
-def test_crs_without_transform_is_not_believed(tmp_path):
-    assert open_dem(write(tmp_path / "dem.tif", transform=None)).crs is None
-
-
-def write_image(path, pixels, kind, names=("Y",)):
-    oiio = importlib.import_module("OpenImageIO")
-    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], kind)
-    spec.channelnames = names
-    if "A" in names:
-        spec.alpha_channel = names.index("A")
-    image = oiio.ImageOutput.create(str(path))
-    assert image.open(str(path), spec), image.geterror()
-    image.write_image(pixels)
-    image.close()
-    return path
-
-
-@pytest.mark.parametrize("kind", ["float", "half"])
-def test_exr(tmp_path, kind):
-    heights = (HEIGHTS.astype(np.float32) / 4)[..., None]
-    heights[0, :2, 0] = np.nan, np.inf
-    dem = open_dem(write_image(tmp_path / "dem.exr", heights, kind))
-    expected = heights.astype(np.float16 if kind == "half" else np.float32)[..., 0].astype(np.float32)
-    expected[0, :2] = np.nan
-    np.testing.assert_array_equal(dem.z, expected)
-    assert (dem.transform, dem.crs, dem.z.dtype) == ((1, 0, 0, 0, -1, ROWS), None, np.float32)
-
-
-def test_exr_of_whole_numbers_is_not_rescaled(tmp_path):
-    dem = open_dem(write_image(tmp_path / "dem.exr", HEIGHTS.astype(np.uint32)[..., None], "uint"))
-    np.testing.assert_array_equal(dem.z, HEIGHTS)
-    assert dem.z.dtype == np.float64
-
-
-def test_exr_alpha_marks_voids_and_bands_are_channels(tmp_path):
-    pixels = np.ones((ROWS, COLS, 4), np.float32)
-    pixels[..., 1] = HEIGHTS
-    pixels[3, 4, 3] = 0
-    path = write_image(tmp_path / "dem.exr", pixels, "float", ("R", "G", "B", "A"))
-    dem = open_dem(path, band=2)
-    assert dem.n_valid == ROWS * COLS - 1
-    assert np.isnan(dem.z[3, 4])
-    assert dem.z[0, 7] == HEIGHTS[0, 7]
-    assert code_of(path, band=5) == "band-range"
-
-
-def test_pfm(tmp_path):
-    heights = HEIGHTS.astype("<f4")
-    (tmp_path / "dem.pfm").write_bytes(f"Pf\n{COLS} {ROWS}\n-1.0\n".encode() + heights[::-1].tobytes())
-    np.testing.assert_array_equal(open_dem(tmp_path / "dem.pfm").z, heights)
-
-
-def plain_pgm(heights, maximum):
-    rows = "\n".join(" ".join(map(str, row)) for row in heights)
-    return (
-        f"P2 # a comment\n# width height\n{heights.shape[1]} {heights.shape[0]}\n{maximum}\n{rows}\n".encode()
-    )
-
-
-@pytest.mark.parametrize("maximum", [1449, 1999, 40000, 65535, 100000])
-def test_plain_pgm_is_not_rescaled(tmp_path, maximum):
-    heights = HEIGHTS.astype(int)
-    heights[-1, -1] = maximum
-    (tmp_path / "dem.pgm").write_bytes(plain_pgm(heights, maximum))
-    dem = open_dem(tmp_path / "dem.pgm")
-    np.testing.assert_array_equal(dem.z, heights)
-    assert (dem.transform, dem.crs, dem.name) == ((1, 0, 0, 0, -1, ROWS), None, "dem")
-
-
-def test_binary_pgm_is_not_rescaled(tmp_path):
-    (tmp_path / "dem.pgm").write_bytes(f"P5 {COLS} {ROWS} 2478\n".encode() + HEIGHTS.astype(">u2").tobytes())
-    dem = open_dem(tmp_path / "dem.pgm")
-    np.testing.assert_array_equal(dem.z, HEIGHTS)
-    assert (dem.transform, dem.crs) == ((1, 0, 0, 0, -1, ROWS), None)
-
-
-def test_world_file_places_a_plain_image(tmp_path):
-    write(tmp_path / "dem.png", HEIGHTS.astype(np.uint16), driver="PNG", transform=None, crs=None)
-    (tmp_path / "dem.pgw").write_text("30\n0\n0\n-30\n557820\n5121990\n")
-    assert open_dem(tmp_path / "dem.png").transform == tuple(UTM)[:6]
-
-
-# NoData
-
-
-@pytest.mark.parametrize("nodata", [-9999, 0, 255.5, -9999.123456789])
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_nodata_by_value(tmp_path, nodata, dtype):
-    heights = HEIGHTS.astype(dtype)
-    heights[2:5, 3] = nodata
-    heights[7, 7:9] = np.nan, np.inf
-    dem = open_dem(write(tmp_path / "dem.tif", heights, nodata=nodata))
-    assert np.isnan(dem.z[2:5, 3]).all()
-    assert np.isnan(dem.z[7, 7:9]).all()
-    assert dem.n_valid == ROWS * COLS - 5
-    assert dem.nodata == pytest.approx(nodata, rel=1e-6)
-
-
-@pytest.mark.parametrize(("dtype", "nodata"), [("int16", -32768), ("uint16", 65535), ("int32", -(2**31))])
-def test_nodata_of_integers(tmp_path, dtype, nodata):
-    heights = HEIGHTS.astype(dtype)
-    heights[2, 3] = nodata
-    dem = open_dem(write(tmp_path / "dem.tif", heights, nodata=nodata))
-    assert dem.n_valid == ROWS * COLS - 1
-
-
-def test_nodata_nan(tmp_path):
-    heights = HEIGHTS.astype(np.float32)
-    heights[2, 3] = np.nan
-    dem = open_dem(write(tmp_path / "dem.tif", heights, nodata=np.nan))
-    assert dem.n_valid == ROWS * COLS - 1
-    assert np.isnan(dem.nodata)
-
-
-@pytest.mark.parametrize("internal", [True, False])
-def test_mask_band(tmp_path, internal):
-    mask = np.full((ROWS, COLS), 255, np.uint8)
-    mask[5:8, 5:8] = 0
-    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=internal):
-        path = edit(write(tmp_path / "dem.tif"), lambda dataset: dataset.write_mask(mask))
-    assert (tmp_path / "dem.tif.msk").exists() is not internal
-    np.testing.assert_array_equal(open_dem(path).valid, mask > 0)
-
-
-def test_mask_band_and_nodata_together(tmp_path):
-    heights = HEIGHTS.copy()
-    heights[1, 1] = -1
-    mask = np.full((ROWS, COLS), 255, np.uint8)
-    mask[5, 5] = 0
-    path = edit(write(tmp_path / "dem.tif", heights, nodata=-1), lambda dataset: dataset.write_mask(mask))
-    assert np.argwhere(~open_dem(path).valid).tolist() == [[1, 1], [5, 5]]
-
-
-def test_alpha_band(tmp_path):
-    alpha = np.full((ROWS, COLS), 65535)
-    alpha[5:8, 5:8] = 0
-    path = write(tmp_path / "dem.tif", np.stack([HEIGHTS, alpha]).astype(np.uint16), ALPHA="YES")
-    np.testing.assert_array_equal(open_dem(path).valid, alpha > 0)
-
-
-def test_undeclared_minus_32768_is_a_height(tmp_path):
-    heights = HEIGHTS.copy()
-    heights[0, 0] = -32768
-    dem = open_dem(write(tmp_path / "dem.tif", heights))
-    assert (dem.n_valid, dem.z[0, 0]) == (ROWS * COLS, -32768)
 
 
 # Units, scale, georeference
