@@ -248,9 +248,10 @@ impl Patch {
         apart: usize,
     ) -> impl Iterator<Item = &[f32; LANES]> {
         let start = place.wrapping_sub(self.base);
-        let end = start.wrapping_add(count.saturating_sub(1) * apart + LANES * count.min(1));
-        let rows = self.z.get(start..end).unwrap_or_default();
-        rows.chunks(apart).filter_map(|row| row.first_chunk())
+        let rows = |count: usize| self.z.get(start..start.wrapping_add(count * apart));
+        // The last of a sample is left out where it is among the last rows of all.
+        let rows = rows(count).or_else(|| rows(count.saturating_sub(1))).unwrap_or_default();
+        rows.chunks_exact(apart).filter_map(|row| row.first_chunk())
     }
 
     /// A lattice point relative to the first pixel.

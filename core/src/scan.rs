@@ -183,12 +183,15 @@ impl Side {
 /// The rows that a triangle has between two columns, and perhaps one more on either side.
 #[inline(always)]
 pub fn rows_between(sides: &[Side; 3], left: f32, right: f32) -> (i32, i32) {
+    // There is no NaN to look out for.
+    let lower = |a: f32, b: f32| if a < b { a } else { b };
+    let higher = |a: f32, b: f32| if a > b { a } else { b };
     let (mut top, mut bottom) = (f32::INFINITY, f32::NEG_INFINITY);
     for side in sides {
-        let (from, to) = (left.max(side.x[0]), right.min(side.x[1]));
+        let (from, to) = (higher(left, side.x[0]), lower(right, side.x[1]));
         if from <= to {
             let [a, b] = [from, to].map(|x| side.y + (x - side.x[0]) * side.slope);
-            (top, bottom) = (top.min(a.min(b)), bottom.max(a.max(b)));
+            (top, bottom) = (lower(top, lower(a, b)), higher(bottom, higher(a, b)));
         }
     }
     // A row more than what rounding can take.

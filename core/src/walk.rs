@@ -151,8 +151,12 @@ impl Walk {
         let mut col = 0;
         while col <= cols {
             let (first, last) = rows_between(&sides, col as f32, (col + LANES as i32 - 1) as f32);
-            let first = (first.max(0) + self.rows - 1) / self.rows;
-            let count = (last.min(rows) / self.rows + 1 - first).max(0) as usize;
+            let (first, last) = (first.max(0), last.min(rows));
+            let (first, last) = match self.rows {
+                1 => (first, last),
+                every => ((first + every - 1) / every, last / every),
+            };
+            let count = (last + 1 - first).max(0) as usize;
             let every = self.rows as usize * patch.stride();
             let at = top as usize * patch.stride() + first as usize * every + (left + col) as usize;
             visitor.move_to(at, every);
