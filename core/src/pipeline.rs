@@ -112,6 +112,7 @@ pub fn triangulate<T: Height>(
     options: &Options,
     progress: &mut Progress,
 ) -> Result<Triangulation> {
+    progress.stage(if options.despike { "despike" } else { "outline" })?;
     let largest = largest(grid.z(), progress)?;
     validate(options, grid, largest)?;
     let rounding = ROUNDING * largest;
@@ -287,7 +288,6 @@ fn prepare<'a, T: Height>(
     // The samples of the noise estimate, while their list grows.
     memory::ensure(24 * grid.z().len().min(MAX_SAMPLES))?;
     if options.despike {
-        progress.stage("despike")?;
         memory::ensure(size_of_val(grid.z()))?;
         for (pixel, z) in spikes(grid, noise(grid), progress)? {
             data.to_mut()[pixel] = z;
