@@ -2,15 +2,16 @@
 
 use crate::curve::scramble;
 use crate::error::Result;
-use crate::fit::Systems;
+use crate::fit::{stand, unit_of};
 use crate::grid::{Grid, Height};
-use crate::lanes::Vectors;
 use crate::memory;
+use crate::normal::{Scratch, Systems};
 use crate::predicate::Point;
 use crate::progress::Progress;
 use crate::scale::{gaussian, reach};
-use crate::sight::{moments_of, stands, Image};
+use crate::share::{Image, Share};
 use crate::surface::Surface;
+use crate::threads::{chunks, spread};
 use std::ops::Range;
 
 /// A vertex that was placed by looking at the data costs more degrees of freedom
@@ -20,7 +21,7 @@ const KNOT_COST: f64 = 2.0;
 /// Of a raster of more pixels bands of rows are looked at, about this share of it: one number is
 /// sought, and they tell it to a few hundredths,
 const ENOUGH_PIXELS: usize = 1 << 18;
-const SHARE: usize = 8;
+const SHARE: usize = 16;
 /// if they are from all over it,
 const FEWEST: usize = 2;
 /// many times as high as a triangle, and so many rows at least,
@@ -47,8 +48,8 @@ impl<T: Height> Blend<'_, T> {
     /// p' P (I - G) p with a random p of independent signs (Hutchinson 1989) and charged at the
     /// cost of knots. Errors: `out-of-memory`, `cancelled`.
     pub fn share(&self, surface: &Surface, progress: &mut Progress) -> Result<f64> {
-        let bands = bands(self.data.rows(), self.data.cols(), surface.z.len()).into_iter();
-        let parts: Vec<_> = bands.map(|rows| (between(surface, &rows), rows)).collect();
+        let bands = bands(self.data.rows(), self.data.cols(), surface.z.len());
+        let parts = spread(progress, bands.into_iter(), |rows, _| Ok((between(surface, &rows), rows)))?;
         let triangles: usize = parts.iter().map(|(part, _)| part.mesh.triangles().len()).sum();
         let (mut energy, mut trace) = (0.0, 0.0);
         if triangles < ENOUGH_TRIANGLES {
@@ -65,23 +66,26 @@ impl<T: Height> Blend<'_, T> {
 
     /// |P (I - G) y|^2 and p' P (I - G) p over a surface between some rows.
     fn look_at(&self, rows: Range<usize>, surface: &Surface, progress: &mut Progress) -> Result<(f64, f64)> {
-        let looked_at = Probed::new(self, rows, progress)?;
-        let stands = stands(surface, &self.data, progress)?;
+        let unit = unit_of(surface);
+        let image = Probed::new(self, rows, 1.0 / unit, progress)?;
+        let shares = spread(progress, chunks(surface.mesh.triangles().len()), |chunk, progress| {
+            progress.poll(64 * chunk.len(), || 0.0)?;
+            Ok(chunk.map(|t| Share::of(surface, t as u32, &image)).collect::<Vec<_>>())
+        })?;
         let at = |v: usize| match surface.mesh.point(v as u32).as_pixel() {
             Some((col, row)) if self.data.is_valid(col, row) => {
-                looked_at.pixels(row, col, col + 1).next().unwrap_or_default()
+                image.pixels(row, col, col + 1).next().unwrap_or_default()
             }
-            _ => [stands[v], 0.0, 0.0, 0.0],
+            _ => [0.0 * stand(surface, &self.data, v), 0.0, 0.0],
         };
-        let vectors = Vectors::best();
-        let moments = |t: u32| moments_of(surface, t, &looked_at, vectors);
-        let Systems { normal, sides, squares } = Systems::assemble(surface, at, moments, progress)?;
-        let smoothed_away = sides.iter().map(|&[_, data, probe, _]| [data, probe]).collect();
-        let changes = normal.solve(smoothed_away, [squares[1], squares[2]], progress)?;
-        let pairs = || changes.iter().zip(&sides);
-        let energy = pairs().map(|(change, side)| change[0] * side[1]).sum();
-        let trace = pairs().map(|(change, side)| change[1] * side[3]).sum();
-        Ok((energy, trace))
+        let (mut systems, mut scratch) = (Systems::default(), Scratch::<2>::default());
+        systems.assemble(surface, at, &shares.concat(), progress)?;
+        // The projections of what is smoothed away, and of that of the probe.
+        let changes = systems.solve(0.0, &mut scratch, progress)?;
+        let products = changes.zip(&systems.sides).map(|(x, side)| [x[0] * side[0], x[1] * side[2]]);
+        let [energy, trace] =
+            products.fold([0.0; 2], |sum, [energy, trace]| [sum[0] + energy, sum[1] + trace]);
+        Ok((energy * (unit * unit), trace))
     }
 }
 
@@ -101,15 +105,21 @@ fn bands(rows: usize, cols: usize, vertices: usize) -> Vec<Range<usize>> {
 fn between(surface: &Surface, rows: &Range<usize>) -> Surface {
     let (first, last) = (Point::pixel(0, rows.start).y, Point::pixel(0, rows.end - 1).y);
     let mesh = &surface.mesh;
-    let is_between = |&t: &u32| mesh.corners(t).iter().all(|p| (first..=last).contains(&p.y));
+    let is_in = |v: u32| (first..=last).contains(&mesh.point(v).y);
+    let is_between = |&t: &u32| mesh.triangle(t).v.into_iter().all(is_in);
     let members: Vec<u32> = (0..mesh.triangles().len() as u32).filter(is_between).collect();
-    let (part, _) = surface.part(&members, |t| Some(members.binary_search(&t).ok()? as u32));
+    // One more than their numbers: most are never looked at, and zeros come without being written.
+    let mut numbers = vec![0u32; mesh.triangles().len()];
+    (1..).zip(&members).for_each(|(number, &t)| numbers[t as usize] = number);
+    let (part, _) = surface.part(&members, |t| numbers[t as usize].checked_sub(1));
     part
 }
 
 /// Rows of an image with a random one beside it.
 struct Probed<'a, T: Height> {
     blend: &'a Blend<'a, T>,
+    /// Inverse of the unit of heights.
+    scale: f64,
     /// Number of the first pixel that `probe` has.
     first: usize,
     probe: Vec<T>,
@@ -117,7 +127,7 @@ struct Probed<'a, T: Height> {
 }
 
 impl<'a, T: Height> Probed<'a, T> {
-    fn new(blend: &'a Blend<'a, T>, rows: Range<usize>, progress: &mut Progress) -> Result<Self> {
+    fn new(blend: &'a Blend<'a, T>, rows: Range<usize>, scale: f64, progress: &mut Progress) -> Result<Self> {
         let (cols, beyond) = (blend.data.cols(), reach(blend.sigma[1]));
         let rows = rows.start.saturating_sub(beyond)..(rows.end + beyond).min(blend.data.rows());
         let pixels = rows.start * cols..rows.end * cols;
@@ -128,14 +138,14 @@ impl<'a, T: Height> Probed<'a, T> {
         let probe: Vec<T> = known.map(|(i, z)| T::from_f64(sign(i as u64) + 0.0 * z.to_f64())).collect();
         let grid = Grid::new(&probe, rows.len(), cols)?;
         let smooth_probe = gaussian(&grid, blend.sigma, progress)?.into_owned();
-        Ok(Probed { blend, first: pixels.start, probe, smooth_probe })
+        Ok(Probed { blend, scale, first: pixels.start, probe, smooth_probe })
     }
 }
 
-impl<T: Height> Image<4> for Probed<'_, T> {
-    /// Of each pixel its height, what smoothing removes of it and of the probe, and the probe.
+impl<T: Height> Image<3> for Probed<'_, T> {
+    /// What smoothing removes of each pixel and of the probe there, and the probe.
     #[inline(always)]
-    fn pixels(&self, row: usize, first: usize, end: usize) -> impl ExactSizeIterator<Item = [f64; 4]> {
+    fn pixels(&self, row: usize, first: usize, end: usize) -> impl Iterator<Item = [f64; 3]> {
         let start = row * self.blend.data.cols();
         let pixels = start + first..start + end;
         let held = pixels.start - self.first..pixels.end - self.first;
@@ -143,7 +153,7 @@ impl<T: Height> Image<4> for Probed<'_, T> {
         let probe = self.probe[held.clone()].iter().zip(&self.smooth_probe[held]);
         data.zip(probe).map(|((height, smooth), (probe, smooth_probe))| {
             let [height, probe] = [height, probe].map(|value| value.to_f64());
-            [height, height - smooth.to_f64(), probe - smooth_probe.to_f64(), probe]
+            [(height - smooth.to_f64()) * self.scale, probe - smooth_probe.to_f64(), probe]
         })
     }
 }

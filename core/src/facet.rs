@@ -7,9 +7,9 @@ use crate::grid::{Grid, Height};
 use crate::lanes::{Kernel, Lanes, Vectors, LANES};
 use crate::list::List;
 use crate::patch::Patch;
-use crate::predicate::{Point, SUB_BITS};
+use crate::predicate::{pixels_of, Point, SUB_BITS};
 use crate::scan::{Plane, Spans};
-use crate::walk::{pixels_of, Visitor, Walk};
+use crate::walk::{Visitor, Walk};
 
 /// A triangle over a patch.
 #[derive(Clone, Copy)]

@@ -1,122 +1,180 @@
 //! Heights by least squares.
 
 use crate::error::Result;
+use crate::grid::{extent, Grid, Height};
 use crate::memory;
-use crate::mesh::Mesh;
-use crate::moments::{dot, Moments};
-use crate::normal::{Normal, Products};
+use crate::mesh::{next, triangle_of, Mesh};
+use crate::normal::{Scratch, Systems};
+use crate::order::runs;
+use crate::patch::Patch;
 use crate::predicate::Point;
 use crate::progress::Progress;
-use crate::sight::{chunks, Sight};
+use crate::pyramid::Beside;
+use crate::share::Share;
 use crate::surface::Surface;
-use crate::threads::spread;
+use crate::threads::{chunks, spread};
+use std::ops::Range;
 
-/// Chunks whose results are kept at once.
-const CHUNKS: usize = 1 << 4;
+/// What single precision may be off, as a part of the range of heights.
+const ROUNDING: f64 = 1.0 / (1 << 22) as f64;
 
-/// What a triangle adds to the normal equations.
-struct Share<const K: usize> {
-    corners: [f64; 3],
-    edges: [f64; 3],
-    sides: [[f64; K]; 3],
-    squares: [f64; K],
+/// A mesh and the image that its heights are to fit.
+pub struct Fit {
+    /// What each triangle adds to the normal equations, as long as the vertices have these heights.
+    shares: Vec<Share<1>>,
+    z: Vec<f64>,
+    /// The image's height where each vertex stands, NaN for scaffolding.
+    stands: Vec<f64>,
+    /// Of the image.
+    pixels: f64,
+    /// Heights in shares are in this unit, so that single precision holds their squares.
+    unit: f64,
+    /// Triangles that are worked on together.
+    runs: Vec<Range<usize>>,
+    systems: Systems<1>,
+    scratch: Scratch<1>,
 }
 
-impl<const K: usize> Share<K> {
-    /// The first value counts as far as it is not yet the surface's.
-    #[inline]
-    fn of(moments: &Moments<K>, p: [Point; 3], z: [f64; 3]) -> Self {
-        let [_, b, c] = moments.hats(p);
-        // The three add up to 1, so that sums with the first follow from those with the others.
-        let [n, x, y] = moments.times([1.0, 0.0, 0.0]);
-        let (nb, nc) = (dot(b, [n, x, y]), dot(c, [n, x, y]));
-        let times_b = moments.times(b);
-        let (bb, bc, cc) = (dot(b, times_b), dot(c, times_b), dot(c, moments.times(c)));
-        let (ab, ac) = (nb - bb - bc, nc - bc - cc);
-        let aa = n - nb - nc - ab - ac;
-        let mut sides = [[0.0; K]; 3];
-        for (k, &values) in moments.values.iter().enumerate() {
-            let (of_b, of_c) = (dot(b, values), dot(c, values));
-            (sides[0][k], sides[1][k], sides[2][k]) = (values[0] - of_b - of_c, of_b, of_c);
-        }
-        // The plane is a sum of hats, too, and so is what it leaves.
-        let z = z.map(|z| z - moments.base());
-        let of_values = z[0] * sides[0][0] + z[1] * sides[1][0] + z[2] * sides[2][0];
-        let of_plane = [[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]]
-            .map(|row| row[0] * z[0] + row[1] * z[1] + row[2] * z[2]);
-        for (side, of_plane) in sides.iter_mut().zip(of_plane) {
-            side[0] -= of_plane;
-        }
-        let mut squares = moments.squares;
-        squares[0] = (squares[0] - 2.0 * of_values + dot(z, of_plane)).max(0.0);
-        Share { corners: [aa, bb, cc], edges: [ab, bc, ac], sides, squares }
+impl Fit {
+    /// Errors: `out-of-memory`, `cancelled`.
+    pub fn of<T: Height>(surface: &Surface, target: &Grid<T>, progress: &mut Progress) -> Result<Self> {
+        let count = surface.mesh.triangles().len();
+        memory::ensure(count * size_of::<Share<1>>() + 2 * size_of_val(&surface.z[..]))?;
+        // By themselves, so that the processor waits for many far-away pixels at once.
+        let stands = spread(progress, chunks(surface.z.len()), |chunk, progress| {
+            progress.poll(4 * chunk.len(), || 0.0)?;
+            Ok(chunk.map(|v| stand(surface, target, v)).collect::<Vec<_>>())
+        })?;
+        let (stands, z, runs) = (stands.concat(), surface.z.clone(), runs(&surface.mesh));
+        let shares = vec![Share::NONE; count];
+        let (unit, pixels) = (unit_of(surface), (target.rows() * target.cols()) as f64);
+        let mut fit = Fit {
+            shares,
+            z,
+            stands,
+            pixels,
+            unit,
+            runs,
+            systems: Systems::default(),
+            scratch: Scratch::default(),
+        };
+        fit.renew(surface, target, &vec![true; count], progress)?;
+        Ok(fit)
     }
-}
 
-/// The systems to solve: one matrix, and for each value of the pixels a side and its sum of squares.
-pub struct Systems<const K: usize> {
-    pub normal: Normal,
-    pub sides: Vec<[f64; K]>,
-    pub squares: [f64; K],
-}
-
-impl<const K: usize> Systems<K> {
-    /// `stands`: the values where each vertex stands. `moments(t)`: over the triangle's pixels.
-    pub fn assemble(
+    /// Takes in the triangles that have changed. Errors: `cancelled`.
+    pub fn renew<T: Height>(
+        &mut self,
         surface: &Surface,
-        stands: impl Fn(usize) -> [f64; K],
-        moments: impl Fn(u32) -> Moments<K> + Sync,
+        target: &Grid<T>,
+        is_changed: &[bool],
         progress: &mut Progress,
-    ) -> Result<Self> {
-        let Surface { mesh, z, is_fixed } = surface;
-        let (count, vertices) = (mesh.triangles().len(), z.len());
-        memory::ensure(count * 24 + Normal::bytes(vertices, K))?;
-        let mut sides = vec![[0.0; K]; vertices];
-        let mut squares = [0.0; K];
-        let mut products = Products { diagonal: vec![0.0; vertices], edges: Vec::with_capacity(count) };
-        for (v, side) in sides.iter_mut().enumerate().filter(|(v, _)| !z[*v].is_nan()) {
-            *side = stands(v);
-            side[0] -= z[v];
-            products.diagonal[v] = 1.0;
-            squares.iter_mut().zip(*side).for_each(|(sum, value)| *sum += value * value);
-        }
-        let open: Vec<_> = chunks(count).collect();
-        for open in open.chunks(CHUNKS) {
-            let shares = spread(progress, open.iter(), |chunk, progress| {
-                let share = |t: usize| share_of(surface, t as u32, &moments);
-                progress.poll(64 * chunk.len(), || chunk.start as f64 / count as f64)?;
-                Ok(chunk.clone().map(share).collect::<Vec<_>>())
-            })?;
-            for share in shares.into_iter().flatten() {
-                let v = mesh.triangles()[products.edges.len()].v;
-                products.edges.push(share.edges);
-                for (k, v) in v.into_iter().enumerate() {
-                    products.diagonal[v as usize] += share.corners[k];
-                    sides[v as usize].iter_mut().zip(share.sides[k]).for_each(|(sum, side)| *sum += side);
-                }
-                squares.iter_mut().zip(share.squares).for_each(|(sum, square)| *sum += square);
+    ) -> Result<()> {
+        let unit = self.unit;
+        self.for_each_run(progress, |run, shares| {
+            let is_data = |t: u32| !surface.mesh.triangle(t).is_void();
+            let changed = || run.clone().map(|t| t as u32).filter(|&t| is_changed[t as usize] && is_data(t));
+            let patch = patch_of(surface, changed, target);
+            for t in changed() {
+                shares[t as usize - run.start] =
+                    Share::of_heights(surface, t, (target, unit), patch.as_ref());
             }
+        })
+    }
+
+    /// Takes in the heights that the vertices have got. Errors: `cancelled`.
+    pub fn follow(&mut self, surface: &Surface, progress: &mut Progress) -> Result<()> {
+        let (old, scale) = (std::mem::take(&mut self.z), 1.0 / self.unit);
+        self.for_each_run(progress, |run, shares| {
+            let triangles = &surface.mesh.triangles()[run.clone()];
+            for (share, triangle) in
+                shares.iter_mut().zip(triangles).filter(|(_, triangle)| !triangle.is_void())
+            {
+                share.follow(triangle.v.map(|v| ((surface.z[v as usize] - old[v as usize]) * scale) as f32));
+            }
+        })?;
+        self.z = old;
+        self.z.copy_from_slice(&surface.z);
+        Ok(())
+    }
+
+    /// Moves the free vertices to the heights with the least sum of squared differences
+    /// between the surface and the pixels, where there is more than a millionth of it to gain. Errors:
+    /// `out-of-memory`, `cancelled`.
+    pub fn solve(&mut self, surface: &mut Surface, progress: &mut Progress) -> Result<()> {
+        let (unit, scale) = (self.unit, 1.0 / self.unit);
+        let over = |v: usize| [(self.stands[v] - surface.z[v]) * scale];
+        self.systems.assemble(surface, over, &self.shares, progress)?;
+        let (low, high) = extent(&surface.z);
+        let rounding = ROUNDING * (high - low).max(0.0) * scale;
+        let changes = self.systems.solve(self.pixels * rounding * rounding, &mut self.scratch, progress)?;
+        surface.z.iter_mut().zip(changes).for_each(|(z, [change])| *z += change * unit);
+        Ok(())
+    }
+
+    /// Of the triangles on both sides of an edge.
+    #[inline(always)]
+    pub fn beside(&self, mesh: &Mesh, h: u32) -> Beside {
+        let twin = mesh.twin(h);
+        let (left, right) = (&self.shares[triangle_of(h) as usize], &self.shares[triangle_of(twin) as usize]);
+        let side = |share: &Share<1>, h: u32| f64::from(share.sides[(h & 3) as usize][0]);
+        let origin = side(left, h) + side(right, next(twin));
+        let dest = side(left, next(h)) + side(right, twin);
+        let squares = [right, left].map(|share| f64::from(share.squares[0]) * (self.unit * self.unit));
+        Beside { ends: [origin * self.unit, dest * self.unit], squares }
+    }
+
+    fn for_each_run(
+        &mut self,
+        progress: &mut Progress,
+        work: impl Fn(&Range<usize>, &mut [Share<1>]) + Sync,
+    ) -> Result<()> {
+        let count = self.shares.len();
+        let mut rest = &mut self.shares[..];
+        let mut parts = Vec::with_capacity(self.runs.len());
+        for run in &self.runs {
+            let (part, others) = rest.split_at_mut(run.len());
+            parts.push((run, part));
+            rest = others;
         }
-        Ok(Systems { normal: Normal::new(mesh, products, is_fixed), sides, squares })
+        spread(progress, parts.into_iter(), |(run, shares), progress| {
+            work(run, shares);
+            progress.poll(32 * run.len(), || run.start as f64 / count as f64)
+        })?;
+        Ok(())
     }
 }
 
-#[inline]
-fn share_of<const K: usize>(surface: &Surface, t: u32, moments: &impl Fn(u32) -> Moments<K>) -> Share<K> {
-    let mesh: &Mesh = &surface.mesh;
-    if mesh.triangle(t).is_void() {
-        return Share { corners: [0.0; 3], edges: [0.0; 3], sides: [[0.0; K]; 3], squares: [0.0; K] };
+/// The power of two next to the largest |height|.
+pub fn unit_of(surface: &Surface) -> f64 {
+    let (low, high) = extent(&surface.z);
+    let largest = low.abs().max(high.abs());
+    if largest > 0.0 && low <= high {
+        largest.log2().floor().max(-1000.0).exp2()
+    } else {
+        1.0
     }
-    Share::of(&moments(t), mesh.corners(t), surface.heights(t))
 }
 
-/// Moves the free vertices to the heights with the least sum of squared differences
-/// between the surface and the pixels seen, where there is more than a millionth of it to gain. Errors:
-/// `out-of-memory`, `cancelled`.
-pub fn fit_heights(surface: &mut Surface, seen: &Sight, progress: &mut Progress) -> Result<()> {
-    let Systems { normal, sides, squares } =
-        Systems::assemble(surface, |v| [seen.vertices[v]], |t| seen.triangles[t as usize], progress)?;
-    let changes = normal.solve(sides, squares, progress)?;
-    surface.z.iter_mut().zip(changes).for_each(|(z, [change])| *z += change);
-    Ok(())
+/// The heights under some triangles.
+fn patch_of<T: Height, I: Iterator<Item = u32>>(
+    surface: &Surface,
+    triangles: impl Fn() -> I,
+    target: &Grid<T>,
+) -> Option<Patch> {
+    let [reference, ..] = surface.heights(triangles().next()?);
+    Patch::near(target, triangles().map(|t| surface.mesh.corners(t)), reference)
+}
+
+/// The height of the image where vertex `v` stands, NaN for scaffolding: lest it is seen by hardly any pixel and
+/// flies off.
+pub fn stand<T: Height>(surface: &Surface, target: &Grid<T>, v: usize) -> f64 {
+    let (p, z): (Point, f64) = (surface.mesh.points()[v], surface.z[v]);
+    let here = p.as_pixel().map_or(f64::NAN, |(col, row)| target.at(col, row));
+    let is_known = !here.is_nan() || z.is_nan();
+    if is_known {
+        here + 0.0 * z
+    } else {
+        target.interpolate(p)
+    }
 }

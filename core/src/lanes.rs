@@ -43,6 +43,10 @@ pub trait Lanes: Copy {
     /// The larger of two, `b` where `a` is no number.
     fn max(a: Self::F, b: Self::F) -> Self::F;
     fn largest(values: Self::F) -> f32;
+    /// The smaller of two, `b` where `a` is no number.
+    fn min(a: Self::F, b: Self::F) -> Self::F;
+    /// The sums over the lanes of each.
+    fn sums(values: [Self::F; 4]) -> [f32; 4];
     /// The largest of the values and the smallest index that goes with it.
     fn first_largest(values: Self::F, index: Self::I) -> (f32, i32);
     /// Writes the lanes of the mask, closed up, from `at` on (what is in a vector's place after

@@ -2,8 +2,8 @@
 //!
 //! Modules, each using only those above it: `predicate`, `curve`, `grid`, `mesh` (`check`,
 //! `constrain`), `scan`, `lanes` (`list`), `patch`, `walk`, `facet`, `noise`, `smoother` (`lines`), `scale`, `outline`,
-//! `queue`, `rule`, `rank`, `refine`, `tiles`, `outlook`, `ladder`, `sight` (`moments`, `owned`), `fit` (`normal`), `blend`, `flip`,
-//! `pipeline`; `python` is the binding.
+//! `queue`, `rule`, `rank`, `refine`, `tiles`, `outlook`, `ladder`, `strips`, `share` (`owned`), `pyramid`, `fit` (`normal`), `blend`,
+//! `flip`, `pipeline`; `python` is the binding.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
@@ -28,7 +28,6 @@ pub mod locate;
 pub mod measure;
 pub mod memory;
 pub mod mesh;
-pub mod moments;
 pub mod noise;
 pub mod normal;
 pub mod order;
@@ -39,6 +38,7 @@ pub mod patch;
 pub mod pipeline;
 pub mod predicate;
 pub mod progress;
+pub mod pyramid;
 #[cfg(feature = "python")]
 mod python;
 pub mod queue;
@@ -50,10 +50,11 @@ pub mod scale;
 pub mod scan;
 pub mod seams;
 pub mod select;
+pub mod share;
 pub mod sieve;
-pub mod sight;
 pub mod simplify;
 mod smoother;
+mod strips;
 pub mod surface;
 pub mod threads;
 pub mod tiles;

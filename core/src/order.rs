@@ -4,10 +4,11 @@
 use crate::curve::curve_position;
 use crate::error::Result;
 use crate::memory;
-use crate::mesh::{half_edge, triangle_of, Triangle, NONE};
+use crate::mesh::{half_edge, triangle_of, Mesh, Triangle, NONE};
 use crate::predicate::{Point, SUB_BITS};
 use crate::progress::Progress;
 use crate::surface::Surface;
+use std::ops::Range;
 
 /// Position along the curve of the pixel that holds the centroid.
 fn place_of([a, b, c]: [Point; 3]) -> u64 {
@@ -80,6 +81,34 @@ pub fn by_place(surface: &mut Surface, progress: &mut Progress) -> Result<Vec<u3
     surface.is_fixed = old_vertex.iter().map(|&v| surface.is_fixed[v as usize]).collect();
     surface.mesh.replace(points, triangles);
     Ok(new_vertex)
+}
+
+/// Runs of triangles in the order of the curve, about one for each of many squares of one size: what is worked on
+/// together, since its surroundings are small.
+pub fn runs(mesh: &Mesh) -> Vec<Range<usize>> {
+    const FEWEST: usize = 1 << 7;
+    const USUAL: usize = 1 << 10;
+    const MOST: usize = 1 << 12;
+    /// One of so many triangles is looked at, and others where these differ.
+    const STEP: usize = 1 << 4;
+    let (count, points) = (mesh.triangles().len(), mesh.points());
+    let end = points.iter().fold((0, 0), |end, p| (p.x.max(end.0), p.y.max(end.1)));
+    let pixels = (end.0 >> SUB_BITS) as f64 * (end.1 >> SUB_BITS) as f64;
+    // Two bits of the place for each doubling of the side.
+    let bits = 2 * (pixels * USUAL as f64 / count.max(1) as f64).sqrt().max(1.0).log2().round() as u32;
+    let square = |t: usize| place_of(mesh.corners(t as u32)) >> bits;
+    let (mut runs, mut start, mut last) = (Vec::new(), 0, 0);
+    for t in (0..count).step_by(STEP).chain([count - 1]) {
+        let here = square(t);
+        if square(last) != here && t - start >= FEWEST || t - start >= MOST {
+            let end = (last + 1..t).find(|&t| square(t) == here).unwrap_or(t);
+            runs.push(start..end);
+            start = end;
+        }
+        last = t;
+    }
+    runs.push(start..count);
+    runs
 }
 
 #[cfg(test)]

@@ -19,28 +19,14 @@ pub fn owns_edge(mesh: &Mesh, h: u32) -> bool {
     is_first(mesh.point(mesh.origin(h)), mesh.point(mesh.dest(h))) | is_alone
 }
 
-/// Who looks at rows of pixels.
-pub trait Visitor {
-    /// Columns `first..end` of a row. Must be `#[inline(always)]` to be compiled for the vectors of
-    /// a kernel.
-    fn visit(&mut self, row: usize, first: usize, end: usize);
-}
-
-impl<F: FnMut(usize, usize, usize)> Visitor for F {
-    #[inline(always)]
-    fn visit(&mut self, row: usize, first: usize, end: usize) {
-        self(row, first, end);
-    }
-}
-
 /// Calls `visit(row, first, end)` for every row of pixel centres within the triangle `p`
 /// (positively oriented) and its owned edges, corners left out: columns `first..end`, rows
 /// ascending. Edge k runs from corner k to the next.
 #[inline(always)]
-pub fn for_each_span(p: [Point; 3], owned: [bool; 3], mut visitor: impl Visitor) {
+pub fn for_each_span(p: [Point; 3], owned: [bool; 3], mut visit: impl FnMut(usize, usize, usize)) {
     let ([top, mid, bottom], [upper, lower, long]) = downwards(p, owned);
     if top.y == mid.y && upper {
-        visit_level(top, mid, &mut visitor);
+        visit_level(top, mid, &mut visit);
     }
     // A corner alone in its row is no pixel.
     let first_row = (top.y >> SUB_BITS) + 1;
@@ -62,23 +48,23 @@ pub fn for_each_span(p: [Point; 3], owned: [bool; 3], mut visitor: impl Visitor)
             let first = if mid_is_right { long_beyond } else { short_beyond + skip };
             let end = if mid_is_right { short_beyond - skip } else { long_beyond };
             if first < end {
-                visitor.visit(row as usize, first as usize, end as usize);
+                visit(row as usize, first as usize, end as usize);
             }
             long.step();
             short.step();
         }
     }
     if mid.y == bottom.y && lower {
-        visit_level(mid, bottom, &mut visitor);
+        visit_level(mid, bottom, &mut visit);
     }
 }
 
 /// The pixels between two points on one height, the left one first.
 #[inline(always)]
-fn visit_level(a: Point, b: Point, visitor: &mut impl Visitor) {
+fn visit_level(a: Point, b: Point, visit: &mut impl FnMut(usize, usize, usize)) {
     let (first, end) = ((a.x >> SUB_BITS) + 1, (b.x + UNIT - 1) >> SUB_BITS);
     if a.y & (UNIT - 1) == 0 && first < end {
-        visitor.visit((a.y >> SUB_BITS) as usize, first as usize, end as usize);
+        visit((a.y >> SUB_BITS) as usize, first as usize, end as usize);
     }
 }
 

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::grid::{extent, Grid, Height};
 use crate::lanes::LANES;
 use crate::memory;
-use crate::predicate::{Point, SUB_BITS};
+use crate::predicate::{pixels_of, Point, SUB_BITS};
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,6 +57,16 @@ impl Window {
         (row..row + rows).map(move |row| &grid.row(row)[col..col + cols])
     }
 }
+
+/// A copy of some polygons' surroundings pays up to so many times their own pixels,
+const SPARSE: usize = 8;
+/// and a few more,
+const ENOUGH: usize = 1 << 10;
+/// but takes no more than 16 MB.
+const MOST: usize = 1 << 22;
+
+/// The largest |height| in single precision so that sums of squares do not overflow and those that count do not underflow.
+const SAFE: std::ops::Range<f32> = 1e-15..1e16;
 
 /// Heights that are shifted together.
 const WIDTH: usize = 16;
@@ -126,6 +136,31 @@ impl Patch {
             patch.fill::<T, true>(grid);
         }
         Ok(patch)
+    }
+
+    /// The pixels between and beside some polygons, over a height that is near theirs and with no look at what that
+    /// rounds; `None` if it would take much more than the polygons hold, or heights are extreme.
+    pub fn near<T: Height, const N: usize>(
+        grid: &Grid<T>,
+        polygons: impl Iterator<Item = [Point; N]>,
+        reference: f64,
+    ) -> Option<Self> {
+        let (mut points, mut size) = (Vec::new(), 0);
+        for p in polygons {
+            size += (2..N).map(|k| pixels_of([p[0], p[k - 1], p[k]])).sum::<usize>();
+            points.extend(p);
+        }
+        let whole = Window { col: 0, row: 0, cols: grid.cols(), rows: grid.rows() };
+        let window = whole.around(&points);
+        if window.cols * window.rows > (SPARSE * size + ENOUGH).min(MOST) {
+            return None;
+        }
+        // The same for rasters of all types.
+        let reference = f64::from(reference as f32);
+        let mut patch = Patch::empty(window, reference).ok()?;
+        patch.fill::<T, false>(grid);
+        let is_safe = patch.frame.largest == 0.0 || SAFE.contains(&patch.frame.largest);
+        is_safe.then_some(patch)
     }
 
     /// The same of another image of the terrain, over the same height.

@@ -4,7 +4,7 @@ use crate::beside::{beside_hard_edges, leave_out};
 use crate::blend::Blend;
 use crate::domain::{domain, Constraints};
 use crate::error::{Error, Result};
-use crate::fit::fit_heights;
+use crate::fit::Fit;
 use crate::flip::flip_pass;
 use crate::grid::{largest, Grid, Height};
 use crate::ladder::{End, Refinement};
@@ -12,6 +12,7 @@ use crate::measure::count_covered;
 use crate::memory;
 use crate::mesh::{triangle_of, Mesh};
 use crate::noise::{noise, spikes, MAX_SAMPLES};
+use crate::order::runs;
 use crate::outline::Shape;
 use crate::predicate::Metric;
 use crate::progress::Progress;
@@ -19,8 +20,8 @@ use crate::refine::{Refiner, Stop};
 use crate::repair::repair;
 use crate::rule::Rule;
 use crate::scale::{choose, gaussian, gaussian_over, noise_left};
-use crate::sight::Sight;
 use crate::surface::Surface;
+use crate::threads::spread;
 use crate::tiles::release_seams;
 use crate::tiling::Tiling;
 use std::borrow::Cow;
@@ -208,15 +209,15 @@ pub fn triangulate<T: Height>(
         stop = if stop == Stop::Tolerance { repaired } else { stop };
     }
 
-    let (target, seen) = if options.fit {
+    let (target, fitted) = if options.fit {
         let sigma = scales[scales.len() - 1];
-        let (target, seen) = fit(&mut surface, &data, finest, noise, sigma, progress)?;
-        (target, Some(seen))
+        let (target, fitted) = fit(&mut surface, &data, finest, noise, sigma, progress)?;
+        (target, Some(fitted))
     } else {
         (finest, None)
     };
     let target = Grid::new(&target, grid.rows(), grid.cols())?;
-    let delaunay = flip(&mut surface, &target, seen, options, progress)?;
+    let delaunay = flip(&mut surface, &target, fitted, options.flips, progress)?;
     if bounded && (options.fit || options.flips > 0) {
         (surface, stop) = restore_bound(surface, &data, &options.rule, most, progress)?;
     }
@@ -300,6 +301,9 @@ fn prepare<'a, T: Height>(
     Ok(Images { data, spikes: removed, noise })
 }
 
+/// Pixels that are worked on together.
+const CHUNK: usize = 1 << 16;
+
 /// Fits the heights to the data, with as much of the smoothed image mixed in as the
 /// noise that the mesh would still follow calls for; returns that mixture.
 fn fit<'a, T: Height>(
@@ -309,44 +313,51 @@ fn fit<'a, T: Height>(
     noise: f64,
     sigma: [f64; 2],
     progress: &mut Progress,
-) -> Result<(Cow<'a, [T]>, Sight)> {
+) -> Result<(Cow<'a, [T]>, Fit)> {
     progress.stage("fit")?;
     let target = if noise == 0.0 || sigma == [0.0; 2] {
         Cow::Borrowed(data.z())
     } else {
         let share = Blend { data: *data, smooth: &smooth, sigma, noise }.share(surface, progress)?;
-        for (smooth, data) in smooth.to_mut().iter_mut().zip(data.z()) {
-            *smooth = T::from_f64(share * smooth.to_f64() + (1.0 - share) * data.to_f64());
-        }
+        let pixels = smooth.to_mut().chunks_mut(CHUNK).zip(data.z().chunks(CHUNK));
+        spread(progress, pixels, |(smooth, data), _| {
+            for (smooth, data) in smooth.iter_mut().zip(data) {
+                *smooth = T::from_f64(share * smooth.to_f64() + (1.0 - share) * data.to_f64());
+            }
+            Ok(())
+        })?;
         smooth
     };
-    let seen = Sight::of(surface, &Grid::new(&target, data.rows(), data.cols())?, progress)?;
-    fit_heights(surface, &seen, progress)?;
-    Ok((target, seen))
+    let image = Grid::new(&target, data.rows(), data.cols())?;
+    let mut fit = Fit::of(surface, &image, progress)?;
+    fit.solve(surface, progress)?;
+    Ok((target, fit))
 }
 
+/// Rounds of flips, each followed by a fit if there is one. Returns whether the mesh is as before.
 fn flip<T: Height>(
     surface: &mut Surface,
     target: &Grid<T>,
-    seen: Option<Sight>,
-    options: &Options,
+    mut fit: Option<Fit>,
+    rounds: u32,
     progress: &mut Progress,
 ) -> Result<bool> {
-    if options.flips == 0 {
+    if rounds == 0 {
         return Ok(true);
     }
     progress.stage("flip")?;
-    let mut seen = match seen {
-        Some(seen) => seen,
-        None => Sight::of(surface, target, progress)?,
-    };
     let mut open = vec![true; surface.mesh.triangles().len()];
-    for round in 0..options.flips {
-        if flip_pass(surface, target, &mut seen, &mut open, progress)? == 0 {
+    let runs = runs(&surface.mesh);
+    for round in 0..rounds {
+        if let Some(fit) = &mut fit {
+            fit.follow(surface, progress)?;
+        }
+        if flip_pass(surface, target, &runs, fit.as_ref(), &mut open, progress)? == 0 {
             return Ok(round == 0);
         }
-        if options.fit {
-            fit_heights(surface, &seen, progress)?;
+        if let Some(fit) = &mut fit {
+            fit.renew(surface, target, &open, progress)?;
+            fit.solve(surface, progress)?;
         }
     }
     Ok(false)

@@ -42,6 +42,12 @@ pub fn orient2d(a: Point, b: Point, c: Point) -> i64 {
     bx * cy - by * cx
 }
 
+/// The area in pixels of a positively oriented triangle, which is about their number.
+#[inline(always)]
+pub fn pixels_of([a, b, c]: [Point; 3]) -> usize {
+    (orient2d(a, b, c) >> (2 * SUB_BITS + 1)) as usize
+}
+
 /// The squared ground length of a lattice step as an integer quadratic form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Metric {

@@ -7,14 +7,13 @@ use crate::lanes::Vectors;
 use crate::memory;
 use crate::mesh::{triangle_of, Class};
 use crate::patch::{Patch, Window};
-use crate::predicate::Point;
+use crate::predicate::{pixels_of, Point};
 use crate::progress::Progress;
 use crate::queue::{Candidate, Order, Pick, Queue};
 use crate::rank::{is_large, Ranked, Ranker};
 use crate::rule::Rule;
 use crate::surface::Surface;
 use crate::triangle::{Location, Triangle};
-use crate::walk::pixels_of;
 
 /// Why refinement ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

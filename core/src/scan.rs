@@ -162,7 +162,7 @@ impl Edge {
     }
 }
 
-/// A side of a triangle, in pixels, from left to right.
+/// A side of a polygon, in pixels, from left to right.
 pub struct Side {
     x: [f32; 2],
     y: f32,
@@ -180,9 +180,9 @@ impl Side {
     }
 }
 
-/// The rows that a triangle has between two columns, and perhaps one more on either side.
+/// The rows that a convex polygon has between two columns, and perhaps one more on either side.
 #[inline(always)]
-pub fn rows_between(sides: &[Side; 3], left: f32, right: f32) -> (i32, i32) {
+pub fn rows_between<const N: usize>(sides: &[Side; N], left: f32, right: f32) -> (i32, i32) {
     // There is no NaN to look out for.
     let lower = |a: f32, b: f32| if a < b { a } else { b };
     let higher = |a: f32, b: f32| if a > b { a } else { b };

@@ -2,6 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::progress::Progress;
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::thread;
@@ -9,6 +10,13 @@ use std::time::Duration;
 
 /// How often a caller with nothing left to do looks whether the run is cancelled.
 const PATIENCE: Duration = Duration::from_millis(20);
+
+/// What is worked on together of so many things that are done one by one.
+pub fn chunks(count: usize) -> impl ExactSizeIterator<Item = Range<usize>> + Send {
+    const CHUNK: usize = 1 << 10;
+    let starts = 0..count.div_ceil(CHUNK);
+    starts.map(move |i| i * CHUNK..count.min((i + 1) * CHUNK))
+}
 
 /// The results of `work` for every item, in the order of the items. As many threads as
 /// `progress` allows take the items one after the other; the calling one is among them and

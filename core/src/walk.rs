@@ -2,7 +2,7 @@
 
 use crate::lanes::{Lanes, Part, LANES};
 use crate::patch::Patch;
-use crate::predicate::{orient2d, Point, SUB_BITS, UNIT};
+use crate::predicate::{Point, SUB_BITS, UNIT};
 use crate::scan::{rows_between, Plane, Side, Spans};
 
 /// In wider triangles it pays to find the rows that a strip of columns meets.
@@ -40,12 +40,6 @@ pub trait Visitor<L: Lanes> {
     /// Eight errors; one is -1 beside the triangle and NaN where there is no candidate.
     /// Returns whether that was all there is to look for.
     fn see(&mut self, error: L::F) -> bool;
-}
-
-/// A triangle's area in pixels, which is about their number.
-#[inline(always)]
-pub fn pixels_of([a, b, c]: [Point; 3]) -> usize {
-    (orient2d(a, b, c) >> (2 * SUB_BITS + 1)) as usize
 }
 
 impl Walk {

@@ -5,16 +5,16 @@ mod common;
 
 use common::{full, hills, quietly, AUTO};
 use dem2tin_core::error::Error;
-use dem2tin_core::fit::fit_heights;
+use dem2tin_core::fit::Fit;
 use dem2tin_core::flip::flip_pass;
 use dem2tin_core::grid::Grid;
 use dem2tin_core::measure::{errors, rasterise};
 use dem2tin_core::noise::spikes;
+use dem2tin_core::order::runs;
 use dem2tin_core::pipeline::triangulate;
 use dem2tin_core::predicate::Metric;
 use dem2tin_core::progress::Progress;
 use dem2tin_core::scale::gaussian;
-use dem2tin_core::sight::Sight;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
@@ -62,13 +62,13 @@ fn long_work_can_be_cancelled_half_way() {
     let done = quietly(|p| triangulate(&grid, Metric::SQUARE, &full(AUTO, 9000), p)).unwrap();
     assert!(is_cancelled_within(|p| gaussian(&grid, [2.0, 2.0], p)));
     assert!(is_cancelled_within(|p| spikes(&grid, 0.0, p)));
-    let seen = || quietly(|p| Sight::of(&done.surface, &grid, p)).unwrap();
-    assert!(is_cancelled_within(|p| Sight::of(&done.surface, &grid, p)));
-    assert!(is_cancelled_within(|p| fit_heights(&mut done.surface.clone(), &seen(), p)));
+    assert!(is_cancelled_within(|p| Fit::of(&done.surface, &grid, p).map(drop)));
+    let mut fit = quietly(|p| Fit::of(&done.surface, &grid, p)).unwrap();
+    assert!(is_cancelled_within(|p| fit.solve(&mut done.surface.clone(), p)));
     assert!(is_cancelled_within(|p| errors(&done.surface.mesh, &done.surface.z, &grid, p)));
     assert!(is_cancelled_within(|p| rasterise::<f32>(&done.surface.mesh, &done.surface.z, SIDE, SIDE, p)));
     let open = || vec![true; done.surface.mesh.triangles().len()];
     assert!(is_cancelled_within(|p| {
-        flip_pass(&mut done.surface.clone(), &grid, &mut seen(), &mut open(), p)
+        flip_pass(&mut done.surface.clone(), &grid, &runs(&done.surface.mesh), None, &mut open(), p)
     }));
 }

@@ -136,6 +136,20 @@ impl Lanes for Avx2 {
         }
     }
     #[inline(always)]
+    fn min(a: Self::F, b: Self::F) -> Self::F {
+        unsafe { _mm256_min_ps(a, b) }
+    }
+    #[inline(always)]
+    fn sums([a, b, c, d]: [Self::F; 4]) -> [f32; 4] {
+        unsafe {
+            let pairs = _mm256_hadd_ps(_mm256_hadd_ps(a, b), _mm256_hadd_ps(c, d));
+            let sums = _mm_add_ps(_mm256_castps256_ps128(pairs), _mm256_extractf128_ps::<1>(pairs));
+            let mut into = [0.0; 4];
+            _mm_storeu_ps(into.as_mut_ptr(), sums);
+            into
+        }
+    }
+    #[inline(always)]
     fn first_largest(values: Self::F, index: Self::I) -> (f32, i32) {
         unsafe {
             let largest = Self::largest(values);

@@ -104,6 +104,14 @@ impl Lanes for Plain {
         values.iter().fold(f32::NEG_INFINITY, |a, &b| if b > a { b } else { a })
     }
     #[inline(always)]
+    fn min(a: Self::F, b: Self::F) -> Self::F {
+        both(a, b, |a, b| if a < b { a } else { b })
+    }
+    #[inline(always)]
+    fn sums(values: [Self::F; 4]) -> [f32; 4] {
+        values.map(|v| ((v[0] + v[1]) + (v[2] + v[3])) + ((v[4] + v[5]) + (v[6] + v[7])))
+    }
+    #[inline(always)]
     fn first_largest(values: Self::F, index: Self::I) -> (f32, i32) {
         let largest = Self::largest(values);
         let at = values.iter().zip(index).filter(|(&v, _)| v == largest).map(|(_, i)| i).min();
