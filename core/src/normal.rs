@@ -71,11 +71,12 @@ impl<const K: usize> Systems<K> {
         self.sides.clear();
         self.sides.resize(vertices, [0.0; K]);
         self.blocks.resize_with(vertices.div_ceil(CHUNK), Block::default);
+        // On this thread: an arena of another one takes more than is asked for.
+        self.blocks.iter_mut().for_each(|block| block.clear(CHUNK.min(vertices)));
         let chunks = self.sides.chunks_mut(CHUNK).zip(is_fixed.chunks(CHUNK)).zip(&mut self.blocks);
         let of_stands =
             spread(progress, chunks.enumerate(), |(chunk, ((sides, is_fixed), block)), progress| {
                 progress.poll(64 * sides.len(), || (chunk * CHUNK) as f64 / vertices as f64)?;
-                block.clear(sides.len());
                 let mut squares = [0.0; K];
                 for (v, (side, &is_fixed)) in (chunk * CHUNK..).zip(sides.iter_mut().zip(is_fixed)) {
                     let (stand, mut diagonal) = (stands(v), 0.0);
@@ -237,8 +238,11 @@ impl Block {
     /// No rows, but room for those of so many vertices.
     fn clear(&mut self, vertices: usize) {
         self.diagonal.clear();
+        self.diagonal.reserve(vertices);
         self.inverse.clear();
+        self.inverse.reserve(vertices);
         self.ends.clear();
+        self.ends.reserve(vertices);
         self.entries.clear();
         // A vertex has six neighbours on the average.
         self.entries.reserve(6 * vertices + vertices / 4);
