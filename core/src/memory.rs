@@ -5,14 +5,16 @@ use crate::error::{Error, Result};
 
 /// Asked for beyond what is counted: short lists are not asked for.
 const MARGIN: usize = 16 << 20;
-/// And what another thread's first one may take of the addresses at once (glibc's arenas), where these are limited.
+/// And what another thread's first one may take of the addresses at once (glibc's arenas), where these are limited;
+/// not beside small requests, since to give so much back interrupts all threads.
 const ARENA: usize = 64 << 20;
+const SMALL: usize = 4 << 20;
 
 /// Fails if `bytes` more cannot be had now. Errors: `out-of-memory`.
 pub fn ensure(bytes: usize) -> Result<()> {
     let (mut probe, mut arena): (Vec<u8>, Vec<u8>) = (Vec::new(), Vec::new());
     let is_there = probe.try_reserve_exact(bytes.saturating_add(MARGIN)).is_ok()
-        && arena.try_reserve_exact(ARENA).is_ok();
+        && (bytes < SMALL || arena.try_reserve_exact(ARENA).is_ok());
     // Looked at, so that the compiler does not leave out the allocations.
     std::hint::black_box((&probe, &arena));
     if is_there {
