@@ -106,7 +106,7 @@ def test_a_mirrored_crs_turns_the_triangles_around():
 def coast(rows=3601):
     """A degree of sea, with an island near the middle of the southern border."""
     row, col = np.arange(rows)[:, None], np.arange(rows)[None]
-    z = np.maximum(0, 60 - 6 * np.hypot(row - (rows - 14), col - rows // 6)).astype(np.float32)
+    z = np.maximum(0, 60 - 6 * np.hypot(row - (rows - 14), col - rows // 2)).astype(np.float32)
     step = 1 / (rows - 1)
     return tin.DEM(z, transform=(step, 0, -84, 0, -step, 61), crs="EPSG:4326", vertical_unit="m")
 

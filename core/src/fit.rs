@@ -18,6 +18,12 @@ use std::ops::Range;
 /// What single precision may be off, as a part of the range of heights.
 const ROUNDING: f64 = 1.0 / (1 << 22) as f64;
 
+/// Heights below have not the precision left that a fit could use.
+const COARSE: f64 = 1e-290;
+
+/// The same of heights that all lie near one, as a part of that.
+const FINEST: f64 = 1.0 / (1u64 << 44) as f64;
+
 /// A mesh and the image that its heights are to fit.
 pub struct Fit {
     /// What each triangle adds to the normal equations, as long as the vertices have these heights.
@@ -102,11 +108,14 @@ impl Fit {
     /// between the surface and the pixels, where there is more than a millionth of it to gain. Errors:
     /// `out-of-memory`, `cancelled`.
     pub fn solve(&mut self, surface: &mut Surface, progress: &mut Progress) -> Result<()> {
+        if self.unit < COARSE {
+            return Ok(());
+        }
         let (unit, scale) = (self.unit, 1.0 / self.unit);
         let over = |v: usize| [(self.stands[v] - surface.z[v]) * scale];
         self.systems.assemble(surface, over, &self.shares, progress)?;
         let (low, high) = extent(&surface.z);
-        let rounding = ROUNDING * (high - low).max(0.0) * scale;
+        let rounding = (ROUNDING * (high - low).max(0.0) + FINEST * low.abs().max(high.abs())) * scale;
         let changes = self.systems.solve(self.pixels * rounding * rounding, &mut self.scratch, progress)?;
         surface.z.iter_mut().zip(changes).for_each(|(z, [change])| *z += change * unit);
         Ok(())
