@@ -68,7 +68,9 @@ def test_equal_to_the_command_line(run, command, tmp_path, kind):
     rings, rows, crs = read_polygons(ours / "t.gpkg")
     their_rings, their_rows, their_crs = read_polygons(theirs / "t.gpkg")
     assert np.array_equal(rings, their_rings)
-    assert rows == their_rows
+    # Two builds of numpy may differ in the last bit of a root or an angle.
+    assert len(rows) == len(their_rows)
+    assert all(row == pytest.approx(other, rel=1e-12) for row, other in zip(rows, their_rows))
     own = QgsRasterLayer(str(dem), "x").crs()
     assert own.isValid()
     assert same_crs(crs, own)
