@@ -105,7 +105,7 @@ impl Fit {
     }
 
     /// Moves the free vertices to the heights with the least sum of squared differences
-    /// between the surface and the pixels, where there is more than a millionth of it to gain. Errors:
+    /// between the surface and the pixels, where there is more than a ten-thousandth of it to gain. Errors:
     /// `out-of-memory`, `cancelled`.
     pub fn solve(&mut self, surface: &mut Surface, progress: &mut Progress) -> Result<()> {
         if self.unit < COARSE {

@@ -18,7 +18,7 @@ fn is_free(mesh: &Mesh, h: u32) -> bool {
     mesh.twin(h) != NONE && !mesh.is_constrained(h) && !mesh.triangle(triangle_of(h)).is_void()
 }
 
-/// The edges of the marked triangles that may be flipped, as the lower of their half-edges, ascending; by
+/// The edges of the marked triangles that may be flipped, as the higher of their half-edges, ascending; by
 /// run of triangles.
 fn edges(
     mesh: &Mesh,
@@ -32,7 +32,7 @@ fn edges(
         for t in run.start as u32..run.end as u32 {
             for h in [0, 1, 2].map(|k| half_edge(t, k)) {
                 let twin = mesh.twin(h);
-                let is_edge = h < twin && is_free(mesh, h);
+                let is_edge = h > twin && is_free(mesh, h);
                 if is_edge && (is_marked[t as usize] || is_marked[triangle_of(twin) as usize]) {
                     edges.push(h);
                 }

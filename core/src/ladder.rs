@@ -25,6 +25,8 @@ use std::collections::BinaryHeap;
 /// Up to these shares of the points all tiles go down to one level; what is left then goes in one
 /// at a time.
 const NEARLY: [f64; 2] = [0.9, 0.99];
+/// Where other scales follow, this share of a scale's points will do.
+const ROUGHLY: f64 = 0.8;
 
 /// Whether the tiles have to end on one level, or roughly so, because other scales follow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -190,7 +192,7 @@ impl Ladder<'_> {
             let repair = if image.rule.is_max() { REPAIR * self.seams.count() as f64 } else { 0.0 } as usize;
             let max_points = max_points.saturating_sub(repair);
             let (most, before) = (max_points as f64, count as f64);
-            if count >= max_points || end == End::Rough && before > NEARLY[0] * most {
+            if count >= max_points || end == End::Rough && before > ROUGHLY * most {
                 break Stop::Points;
             }
             let is_exact = end == End::Level && before > CLOSE * most;

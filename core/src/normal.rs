@@ -7,27 +7,38 @@ use crate::progress::Progress;
 use crate::share::Share;
 use crate::surface::Surface;
 use crate::threads::spread;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::ops::Add;
 
 /// A solution is good enough once what is left to gain falls below this part of the sum of
 /// squares that it leaves.
-const NEGLIGIBLE: f64 = 1e-6;
+const NEGLIGIBLE: f64 = 1e-4;
 /// Beyond this fall of the residual there is nothing but rounding.
 const REDUCTION: f64 = 1e-12;
 const MAX_ITERATIONS: usize = 60;
 /// Vertices that are worked on together.
 const CHUNK: usize = 1 << 13;
 
-/// The rows of the matrix for some vertices; those of vertices that stay as they are count for nothing.
+/// An entry of the matrix beside the diagonal, for two vertices of a block.
+struct Inner {
+    ends: [u16; 2],
+    value: f32,
+}
+
+/// One for a vertex of a block and one of another block.
+struct Outer {
+    of: u16,
+    to: u32,
+    value: f32,
+}
+
+/// The part of the matrix for some vertices; entries of vertices that stay as they are count for nothing.
 #[derive(Default)]
 struct Block {
     diagonal: Vec<f32>,
     /// Inverse diagonal, 0 for vertices that stay as they are: fixed or in no data triangle.
     inverse: Vec<f32>,
-    /// Where the entries of each vertex end.
-    ends: Vec<u32>,
-    /// Columns and values beside the diagonal.
-    entries: Vec<(u32, f32)>,
+    inner: Vec<Inner>,
+    outer: Vec<Outer>,
 }
 
 /// The systems to solve: one matrix, and for each value of the pixels a side. Their memory is used again and again.
@@ -67,32 +78,35 @@ impl<const K: usize> Systems<K> {
         if self.sides.len() < vertices {
             memory::ensure(bytes(vertices, K))?;
         }
-        let fans = Fans::of(mesh, progress)?;
+        let count = vertices.div_ceil(CHUNK);
+        let members = members(mesh, count, progress)?;
         self.sides.clear();
         self.sides.resize(vertices, [0.0; K]);
-        self.blocks.resize_with(vertices.div_ceil(CHUNK), Block::default);
+        self.blocks.resize_with(count, Block::default);
         // On this thread: an arena of another one takes more than is asked for.
         self.blocks.iter_mut().for_each(|block| block.clear(CHUNK.min(vertices)));
         let chunks = self.sides.chunks_mut(CHUNK).zip(is_fixed.chunks(CHUNK)).zip(&mut self.blocks);
-        let of_stands =
-            spread(progress, chunks.enumerate(), |(chunk, ((sides, is_fixed), block)), progress| {
+        let of_stands = spread(
+            progress,
+            chunks.zip(&members).enumerate(),
+            |(chunk, (((sides, is_fixed), block), members)), progress| {
                 progress.poll(64 * sides.len(), || (chunk * CHUNK) as f64 / vertices as f64)?;
-                let mut squares = [0.0; K];
-                for (v, (side, &is_fixed)) in (chunk * CHUNK..).zip(sides.iter_mut().zip(is_fixed)) {
-                    let (stand, mut diagonal) = (stands(v), 0.0);
+                let (mut squares, mut diagonal) = ([0.0; K], vec![0.0; sides.len()]);
+                for (v, (side, diagonal)) in (chunk * CHUNK..).zip(sides.iter_mut().zip(&mut diagonal)) {
+                    let stand = stands(v);
                     if !stand[0].is_nan() {
-                        (*side, diagonal) = (stand, 1.0);
+                        (*side, *diagonal) = (stand, 1.0);
                         squares = plus(squares, stand.map(|value| value * value));
                     }
-                    for start in fans.starts(v as u32) {
-                        let (corners, sides) = block.add_fan(mesh.triangles(), shares, start);
-                        diagonal += corners;
-                        *side = plus(*side, sides);
-                    }
-                    block.end_row(diagonal, is_fixed);
                 }
+                let first = (chunk * CHUNK) as u32;
+                for &t in members.iter().flatten() {
+                    block.add(mesh.triangles(), shares, t, (first, &mut diagonal, sides));
+                }
+                block.set_diagonal(&diagonal, is_fixed);
                 Ok(squares)
-            })?;
+            },
+        )?;
         let of_shares = spread(progress, shares.chunks(CHUNK), |shares, _| {
             Ok(shares.iter().fold([0.0; K], |sum, share| plus(sum, share.squares.map(f64::from))))
         })?;
@@ -175,113 +189,83 @@ impl<const K: usize> Systems<K> {
     }
 }
 
-/// Where to begin to go around each vertex.
-struct Fans {
-    /// A half-edge that leaves it; along a border the one that no other triangle comes before.
-    starts: Vec<u32>,
-    /// More of those with their vertex, ascending: where parts of a mesh meet in a vertex alone.
-    more: Vec<(u32, u32)>,
-}
-
-impl Fans {
-    fn of(mesh: &Mesh, progress: &mut Progress) -> Result<Self> {
-        let first = |_| AtomicU32::new(NONE);
-        let starts: Vec<AtomicU32> = mesh.points().iter().map(first).collect();
-        let borders =
-            spread(progress, mesh.triangles().chunks(CHUNK).enumerate(), |(chunk, triangles), _| {
-                let mut borders = Vec::new();
-                for (t, triangle) in ((chunk * CHUNK) as u32..).zip(triangles) {
-                    for k in 0..3 {
-                        let (v, h) = (triangle.v[k], half_edge(t, k as u32));
-                        // The lowest, whichever thread comes first.
-                        let start = &starts[v as usize];
-                        if h < start.load(Ordering::Relaxed) {
-                            start.fetch_min(h, Ordering::Relaxed);
-                        }
-                        if triangle.twin[k] == NONE {
-                            borders.push((v, h));
-                        }
-                    }
+/// The triangles with a corner in each of `count` blocks, ascending: some lists for each.
+fn members(mesh: &Mesh, count: usize, progress: &mut Progress) -> Result<Vec<Vec<Vec<u32>>>> {
+    let chunks = mesh.triangles().chunks(CHUNK).enumerate();
+    let parts = spread(progress, chunks, |(chunk, triangles), progress| {
+        progress.poll(4 * triangles.len(), || 0.0)?;
+        let mut lists: Vec<(usize, Vec<u32>)> = Vec::new();
+        for (t, triangle) in ((chunk * CHUNK) as u32..).zip(triangles) {
+            let [a, b, c] = triangle.v.map(|v| v as usize / CHUNK);
+            for block in [Some(a), Some(b).filter(|&b| b != a), Some(c).filter(|&c| c != a && c != b)] {
+                let Some(block) = block else { continue };
+                // What lies together is in few blocks.
+                match lists.iter_mut().find(|list| list.0 == block) {
+                    Some((_, list)) => list.push(t),
+                    None => lists.push((block, vec![t])),
                 }
-                Ok(borders)
-            })?;
-        let mut starts: Vec<u32> = starts.into_iter().map(AtomicU32::into_inner).collect();
-        let mut borders = borders.concat();
-        borders.sort_unstable();
-        let (mut more, mut before) = (Vec::new(), NONE);
-        for (v, h) in borders {
-            if v == before {
-                more.push((v, h));
-            } else {
-                starts[v as usize] = h;
             }
-            before = v;
         }
-        Ok(Fans { starts, more })
-    }
-
-    /// One a fan.
-    #[inline]
-    fn starts(&self, v: u32) -> impl Iterator<Item = u32> + '_ {
-        let start = Some(self.starts[v as usize]).filter(|&h| h != NONE);
-        let from = self.more.partition_point(|&(other, _)| other < v);
-        start
-            .into_iter()
-            .chain(self.more[from..].iter().take_while(move |more| more.0 == v).map(|more| more.1))
-    }
+        Ok(lists)
+    })?;
+    let mut members = vec![Vec::new(); count];
+    parts.into_iter().flatten().for_each(|(block, list)| members[block].push(list));
+    Ok(members)
 }
-
-/// The corners of a triangle from each of them on.
-const TURNS: [[usize; 3]; 4] = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0; 3]];
 
 impl Block {
-    /// No rows, but room for those of so many vertices.
+    /// Nothing, but room for what so many vertices need.
     fn clear(&mut self, vertices: usize) {
         self.diagonal.clear();
         self.diagonal.reserve(vertices);
         self.inverse.clear();
         self.inverse.reserve(vertices);
-        self.ends.clear();
-        self.ends.reserve(vertices);
-        self.entries.clear();
-        // A vertex has six neighbours on the average.
-        self.entries.reserve(6 * vertices + vertices / 4);
+        self.inner.clear();
+        // There are three edges to a vertex.
+        self.inner.reserve(3 * vertices);
+        self.outer.clear();
     }
 
-    /// Adds the entries that come from the triangles around a vertex, beginning with that of `start`; returns what they
-    /// add to the diagonal and to the sides.
+    /// Adds what a triangle says of the block's vertices, from `first` on: to their diagonal, their sides, and the edges
+    /// between them, which have their entry from the triangle on both sides.
     #[inline]
-    fn add_fan<const K: usize>(
+    fn add<const K: usize>(
         &mut self,
         triangles: &[Triangle],
         shares: &[Share<K>],
-        start: u32,
-    ) -> (f64, [f64; K]) {
-        let (mut diagonal, mut sides) = (0.0, [0.0; K]);
-        let (mut h, mut before, first) = (start, 0.0, self.entries.len());
-        loop {
-            let (triangle, share) = (&triangles[triangle_of(h) as usize], &shares[triangle_of(h) as usize]);
-            let [at, to, from] = TURNS[(h & 3) as usize];
-            diagonal += f64::from(share.corners[at]);
-            sides = plus(sides, share.sides[at].map(f64::from));
-            self.entries.push((triangle.v[to], before + share.edges[at]));
-            before = share.edges[from];
-            h = triangle.twin[from];
-            if h == NONE {
-                self.entries.push((triangle.v[from], before));
-                return (diagonal, sides);
+        t: u32,
+        (first, diagonal, sides): (u32, &mut [f64], &mut [[f64; K]]),
+    ) {
+        let (Triangle { v, twin, .. }, share) = (&triangles[t as usize], &shares[t as usize]);
+        let here = v.map(|v| v.wrapping_sub(first));
+        for k in 0..3 {
+            let at = here[k] as usize;
+            if at < diagonal.len() {
+                diagonal[at] += f64::from(share.corners[k]);
+                sides[at] = plus(sides[at], share.sides[k].map(f64::from));
             }
-            if h == start {
-                self.entries[first].1 += before;
-                return (diagonal, sides);
+            let (h, next) = (half_edge(t, k as u32), (k + 1) % 3);
+            let value = match twin[k] {
+                NONE => share.edges[k],
+                // Of the two triangles the one that memory has given before.
+                twin if twin > h => continue,
+                twin => share.edges[k] + shares[triangle_of(twin) as usize].edges[(twin & 3) as usize],
+            };
+            let end = here[next] as usize;
+            match (at < diagonal.len(), end < diagonal.len()) {
+                (true, true) => self.inner.push(Inner { ends: [at as u16, end as u16], value }),
+                (true, false) => self.outer.push(Outer { of: at as u16, to: v[next], value }),
+                (false, true) => self.outer.push(Outer { of: end as u16, to: v[k], value }),
+                (false, false) => {}
             }
         }
     }
 
-    fn end_row(&mut self, diagonal: f64, is_fixed: bool) {
-        self.diagonal.push(diagonal as f32);
-        self.inverse.push(if diagonal > 0.0 && !is_fixed { (1.0 / diagonal) as f32 } else { 0.0 });
-        self.ends.push(self.entries.len() as u32);
+    fn set_diagonal(&mut self, diagonal: &[f64], is_fixed: &[bool]) {
+        for (&diagonal, &is_fixed) in diagonal.iter().zip(is_fixed) {
+            self.diagonal.push(diagonal as f32);
+            self.inverse.push(if diagonal > 0.0 && !is_fixed { (1.0 / diagonal) as f32 } else { 0.0 });
+        }
     }
 
     /// images = A u for its vertices, from `first` on, and the sums of r u and of u A u over them.
@@ -292,22 +276,25 @@ impl Block {
         rows: &[Row<K>],
         images: &mut [[f32; K]],
     ) -> ([f64; K], [f64; K]) {
+        let own = &u[first..first + images.len()];
+        for ((image, own), diagonal) in images.iter_mut().zip(own).zip(&self.diagonal) {
+            *image = own.map(|u| u * diagonal);
+        }
+        let times = |u: &[f32; K], value: f32| u.map(|u| u * value);
+        for &Inner { ends: [a, b], value } in &self.inner {
+            let (a, b) = (a as usize, b as usize);
+            images[a] = plus(images[a], times(&own[b], value));
+            images[b] = plus(images[b], times(&own[a], value));
+        }
+        for &Outer { of, to, value } in &self.outer {
+            images[of as usize] = plus(images[of as usize], times(&u[to as usize], value));
+        }
         let (mut rho, mut curvature) = ([0.0; K], [0.0; K]);
-        let mut start = 0;
-        let vertices = u[first..].iter().zip(&self.diagonal).zip(&self.ends).zip(images).zip(rows);
-        for ((((own, diagonal), &end), image), row) in vertices {
-            let mut sum = own.map(|u| u * diagonal);
-            for &(to, value) in &self.entries[start..end as usize] {
-                for (sum, u) in sum.iter_mut().zip(u[to as usize]) {
-                    *sum += value * u;
-                }
-            }
-            start = end as usize;
+        for ((image, own), row) in images.iter().zip(own).zip(rows) {
             for k in 0..K {
                 rho[k] += f64::from(row.residual[k]) * f64::from(own[k]);
-                curvature[k] += f64::from(own[k]) * f64::from(sum[k]);
+                curvature[k] += f64::from(own[k]) * f64::from(image[k]);
             }
-            *image = sum;
         }
         (rho, curvature)
     }
@@ -315,7 +302,7 @@ impl Block {
 
 /// Bytes that a mesh with so many vertices takes, the solution of `k` systems included.
 fn bytes(vertices: usize, k: usize) -> usize {
-    vertices * (8 + 4 + 4 + 7 * 8 + (8 + 6 * 4) * k)
+    vertices * (8 + 4 + 4 + 3 * size_of::<Inner>() + 3 * 4 + (8 + 6 * 4) * k)
 }
 
 /// What conjugate gradients keep for a vertex.
@@ -339,6 +326,6 @@ impl<const K: usize> Row<K> {
     }
 }
 
-fn plus<const K: usize>(a: [f64; K], b: [f64; K]) -> [f64; K] {
+fn plus<T: Copy + Add<Output = T>, const K: usize>(a: [T; K], b: [T; K]) -> [T; K] {
     std::array::from_fn(|k| a[k] + b[k])
 }
