@@ -7,6 +7,7 @@ use common::{hash, method, terrain, unit};
 use criterion::{criterion_group, criterion_main, Criterion, Throughput};
 use dem2tin_core::facet::Facet;
 use dem2tin_core::grid::{Grid, Height};
+use dem2tin_core::image::View;
 use dem2tin_core::lanes::{Kernel, Lanes, Vectors};
 use dem2tin_core::list::List;
 use dem2tin_core::patch::{Patch, Window};
@@ -69,7 +70,7 @@ fn scan(c: &mut Criterion) {
     let z = terrain(SIZE);
     let grid = Grid::new(&z, SIZE, SIZE).unwrap();
     let window = Window { col: 0, row: 0, cols: SIZE, rows: SIZE };
-    let patch = Patch::new(&grid, window).unwrap();
+    let patch = Patch::new(&View::of(&grid), window).unwrap();
     let mut errors = List::default();
     for (name, n, side) in [("small", 4096, 10), ("large", 16, 200)] {
         let triangles: Vec<_> = triangles(n, side).into_iter().map(|p| (p, heights(&grid, p))).collect();

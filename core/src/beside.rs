@@ -9,7 +9,7 @@ use std::borrow::Cow;
 /// Pixels within this distance (in pixels) of a hard edge count as lying on it.
 const REACH: f64 = 0.25;
 
-/// The pixels, as `row * cols + col`, within a quarter of a pixel of the hard edges.
+/// The pixels, ascending as `row * cols + col`, within a quarter of a pixel of the hard edges.
 pub fn beside_hard_edges(mesh: &Mesh, rows: usize, cols: usize) -> Vec<usize> {
     let mut found = Vec::new();
     for h in (0..mesh.triangles().len() as u32).flat_map(|t| [0, 1, 2].map(|k| half_edge(t, k))) {
@@ -19,6 +19,8 @@ pub fn beside_hard_edges(mesh: &Mesh, rows: usize, cols: usize) -> Vec<usize> {
             beside(ends, [cols, rows], |col, row| found.push(row * cols + col));
         }
     }
+    found.sort_unstable();
+    found.dedup();
     found
 }
 

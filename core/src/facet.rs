@@ -3,7 +3,8 @@
 //! How far the worst pixel is off is found for every triangle, which one it is only when it is to be
 //! inserted.
 
-use crate::grid::{Grid, Height};
+use crate::grid::Height;
+use crate::image::View;
 use crate::lanes::{Kernel, Lanes, Vectors, LANES};
 use crate::list::List;
 use crate::patch::Patch;
@@ -86,10 +87,10 @@ impl Facet {
 
     /// The error of a candidate, in double precision.
     #[inline(always)]
-    pub fn error<T: Height>(&self, patch: &Patch, grid: &Grid<T>, place: usize) -> f64 {
+    pub fn error<T: Height>(&self, patch: &Patch, view: &View<T>, place: usize) -> f64 {
         let (col, row) = patch.split(place);
         let plane = self.walk.plane.at(self.walk.plane.on_row(row), col);
-        (patch.height(place, grid) - patch.reference() - plane).abs()
+        (patch.height(place, view) - patch.reference() - plane).abs()
     }
 
     /// The place of its first corner, or of a pixel beside it.
@@ -101,12 +102,12 @@ impl Facet {
 
     /// The errors of all candidates in double precision and their places, in raster
     /// order.
-    pub fn exact<T: Height>(&self, patch: &Patch, grid: &Grid<T>) -> Vec<(f64, usize)> {
+    pub fn exact<T: Height>(&self, patch: &Patch, view: &View<T>) -> Vec<(f64, usize)> {
         let mut errors = Vec::new();
         for (row, first, end) in Spans::new(self.walk.p) {
             let places = row * patch.stride() + first..row * patch.stride() + end;
             let candidates = places.filter(|&place| !patch.z(place).is_nan());
-            errors.extend(candidates.map(|place| (self.error(patch, grid, place), place)));
+            errors.extend(candidates.map(|place| (self.error(patch, view, place), place)));
         }
         errors
     }
@@ -212,6 +213,7 @@ impl Kernel for WorstUpTo<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::grid::Grid;
     use crate::patch::Window;
     use crate::predicate::orient2d;
     use proptest::prelude::*;
@@ -264,7 +266,7 @@ mod tests {
             if orient2d(p[0], p[1], p[2]) < 0 { p.swap(1, 2); }
             let grid = Grid::new(&z, 40, 40).unwrap();
             let window = Window { col: 0, row: 0, cols: 40, rows: 40 };
-            let patch = Patch::new(&grid, window).unwrap();
+            let patch = Patch::new(&View::of(&grid), window).unwrap();
             let facet = Facet::new(&patch, p, heights);
             let expected = brute(&facet, &patch, 40);
             let largest = expected.iter().fold(-1.0f64, |a, b| a.max(b.1));
@@ -305,7 +307,7 @@ mod tests {
         let size = 512;
         let z = vec![0.0f32; size * size];
         let grid = Grid::new(&z, size, size).unwrap();
-        let patch = Patch::new(&grid, Window { col: 0, row: 0, cols: size, rows: size }).unwrap();
+        let patch = Patch::new(&View::of(&grid), Window { col: 0, row: 0, cols: size, rows: size }).unwrap();
         for (col, row, lowest) in
             [(500, 500, 200), (30, 500, 0), (500, 30, 0), (100, 100, 200), (40, 40, 200)]
         {

@@ -129,6 +129,11 @@ impl<'a, T: Height> Grid<'a, T> {
     /// Height at a lattice point: bilinear between the valid ones of the pixels around
     /// it, or that of the nearest valid pixel where these are all void.
     pub fn interpolate(&self, p: Point) -> f64 {
+        self.interpolate_by(p, |col, row| self.at(col, row))
+    }
+
+    /// The same of other heights of the pixels, NaN for a void.
+    pub fn interpolate_by(&self, p: Point, mut at: impl FnMut(usize, usize) -> f64) -> f64 {
         let (col, row) = ((p.x >> SUB_BITS) as usize, (p.y >> SUB_BITS) as usize);
         let fraction = |v: i32| f64::from(v & (UNIT - 1)) / f64::from(UNIT);
         let (x, y) = (fraction(p.x), fraction(p.y));
@@ -136,21 +141,22 @@ impl<'a, T: Height> Grid<'a, T> {
         for (dx, dy, weight) in
             [(0, 0, (1.0 - x) * (1.0 - y)), (1, 0, x * (1.0 - y)), (0, 1, (1.0 - x) * y), (1, 1, x * y)]
         {
-            if weight > 0.0 && self.is_valid(col + dx, row + dy) {
-                sum += weight * self.at(col + dx, row + dy);
+            let z = if weight > 0.0 { at(col + dx, row + dy) } else { f64::NAN };
+            if !z.is_nan() {
+                sum += weight * z;
                 weights += weight;
             }
         }
         if weights > 0.0 {
             sum / weights
         } else {
-            self.nearest(col, row)
+            self.nearest(col, row, at)
         }
     }
 
     /// Height of the valid pixel nearest to a void one, searched in growing squares;
     /// NaN if there is none.
-    fn nearest(&self, col: usize, row: usize) -> f64 {
+    fn nearest(&self, col: usize, row: usize, mut at: impl FnMut(usize, usize) -> f64) -> f64 {
         for reach in 1..self.cols.max(self.rows) {
             let (left, right) = (col.saturating_sub(reach), (col + reach).min(self.cols - 1));
             let (top, bottom) = (row.saturating_sub(reach), (row + reach).min(self.rows - 1));
@@ -160,10 +166,10 @@ impl<'a, T: Height> Grid<'a, T> {
                     let step = if r == top || r == bottom { 1 } else { (right - left).max(1) };
                     (left..=right).step_by(step).map(move |c| (c, r))
                 })
-                .filter(|&(c, r)| self.is_valid(c, r))
+                .filter(|&(c, r)| !at(c, r).is_nan())
                 .min_by_key(|&(c, r)| (c.abs_diff(col).pow(2) + r.abs_diff(row).pow(2), r, c));
             if let Some((c, r)) = found {
-                return self.at(c, r);
+                return at(c, r);
             }
         }
         f64::NAN

@@ -6,13 +6,13 @@
 //! points go in one at a time, by the priorities of all tiles.
 
 use crate::error::Result;
-use crate::grid::{Grid, Height};
-use crate::order::by_place;
+use crate::grid::Height;
+use crate::image::{Image, View};
 use crate::outlook::{share_out, Outlook, Waiting};
-use crate::patch::Patch;
+use crate::patch::{Patch, Window};
 use crate::predicate::Point;
 use crate::progress::Progress;
-use crate::refine::{Goal, Refiner, Stop};
+use crate::refine::{Goal, Stop};
 use crate::rule::Rule;
 use crate::seams::{SeamPoint, Seams};
 use crate::surface::Surface;
@@ -21,6 +21,7 @@ use crate::tiles::{cut, merge, Part, Queued, Shared, Tile};
 use crate::tiling::Tiling;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
+use std::sync::{Mutex, PoisonError};
 
 /// Up to these shares of the points all tiles go down to one level; what is left then goes in one
 /// at a time.
@@ -59,88 +60,10 @@ const SCOUTS: usize = 8;
 /// flips across released seams raise the largest error.
 const REPAIR: f64 = 0.08;
 
-/// A surface that is being refined, over one image after the other.
-pub enum Refinement<'t> {
-    Whole(Box<Refiner>),
-    Tiled(Ladder<'t>),
-}
-
-impl<'t> Refinement<'t> {
-    /// In the tiles whose seams the surface has. Errors: `out-of-memory`.
-    pub fn new(surface: Surface, tiling: &'t Tiling) -> Result<Self> {
-        if tiling.count() == 1 {
-            return Ok(Refinement::Whole(Box::new(Refiner::new(surface))));
-        }
-        let seams = Seams::new(&surface, tiling);
-        let (shared, tiles) = cut(surface, tiling)?;
-        Ok(Refinement::Tiled(Ladder { shared, tiles, seams, tiling, outlook: None }))
-    }
-
-    /// Number of vertices that carry a height.
-    pub fn count(&self) -> usize {
-        match self {
-            Refinement::Whole(refiner) => refiner.count(),
-            Refinement::Tiled(ladder) => ladder.count(),
-        }
-    }
-
-    /// Inserts pixels of the image until there are `max_points` vertices with a height or all
-    /// is within the rule's tolerance, as [`Refiner::run`] does. A few of the vertices are left
-    /// for the repair of seams if the rule is the maximum.
-    pub fn refine<T: Height>(
-        &mut self,
-        grid: &Grid<T>,
-        rule: &Rule,
-        (max_points, end): (usize, End),
-        progress: &mut Progress,
-    ) -> Result<Stop> {
-        let ladder = match self {
-            Refinement::Whole(refiner) => return refiner.run(grid, rule, max_points, progress),
-            Refinement::Tiled(ladder) => ladder,
-        };
-        for tile in &mut ladder.tiles {
-            if let Queued::Now(frame) = tile.queued {
-                tile.queued = Queued::Before(frame);
-            }
-        }
-        ladder.seams.start_again();
-        let image = Image { grid, rule };
-        if max_points < grid.rows() * grid.cols() {
-            return ladder.count_down(image, (max_points, end), progress);
-        }
-        let rooms = vec![Some(usize::MAX); ladder.tiles.len()];
-        let points = ladder.refine_seams(image, f64::NEG_INFINITY, usize::MAX, progress)?;
-        let down = Rung { level: f64::NEG_INFINITY, rooms: &rooms, is_exact: false };
-        ladder.descend(image, down, points, progress)?;
-        Ok(Stop::Tolerance)
-    }
-
-    /// The surface as it is now, in one piece, and the edges where tiles meet; seams stay. `is_ordered`:
-    /// with triangles and vertices numbered by their place, in each tile for itself. Errors:
-    /// `out-of-memory`, `cancelled`.
-    pub fn finish(self, is_ordered: bool, progress: &mut Progress) -> Result<(Surface, Vec<u32>)> {
-        match self {
-            Refinement::Whole(mut refiner) => {
-                if is_ordered {
-                    by_place(&mut refiner.surface, progress)?;
-                }
-                Ok((refiner.surface, Vec::new()))
-            }
-            Refinement::Tiled(ladder) => {
-                let mut parts: Vec<Part> = ladder.tiles.into_iter().map(Part::from).collect();
-                if is_ordered {
-                    spread(progress, parts.iter_mut(), |part, progress| part.order(progress))?;
-                }
-                merge(ladder.shared, parts, progress)
-            }
-        }
-    }
-}
-
 /// What is refined, and by which rule.
 #[derive(Clone, Copy)]
-struct Image<'a, T> {
-    grid: &'a Grid<'a, T>,
+struct Aim<'a, T: Height> {
+    image: &'a Image<'a, T>,
     rule: &'a Rule,
 }
 
@@ -163,15 +86,61 @@ pub struct Ladder<'t> {
     outlook: Option<Outlook>,
 }
 
-impl Ladder<'_> {
-    fn count(&self) -> usize {
+impl<'t> Ladder<'t> {
+    /// Errors: `out-of-memory`.
+    pub fn new(surface: Surface, tiling: &'t Tiling) -> Result<Self> {
+        let seams = Seams::new(&surface, tiling);
+        let (shared, tiles) = cut(surface, tiling)?;
+        Ok(Ladder { shared, tiles, seams, tiling, outlook: None })
+    }
+
+    /// Number of vertices that carry a height.
+    pub fn count(&self) -> usize {
         self.shared.count() + self.tiles.iter().map(Tile::inserted).sum::<usize>()
+    }
+
+    /// Inserts pixels of another image until there are `max_points` vertices with a height or all
+    /// is within the rule's tolerance. A few of the vertices are left for the repair of seams if the rule is
+    /// the maximum. Errors: `out-of-memory`, `cancelled`.
+    pub fn refine<T: Height>(
+        &mut self,
+        image: &Image<T>,
+        rule: &Rule,
+        (max_points, end): (usize, End),
+        progress: &mut Progress,
+    ) -> Result<Stop> {
+        for tile in &mut self.tiles {
+            if let Queued::Now(frame) = tile.queued {
+                tile.queued = Queued::Before(frame);
+            }
+        }
+        self.seams.start_again();
+        let aim = Aim { image, rule };
+        if max_points < image.rows() * image.cols() {
+            return self.count_down(aim, (max_points, end), progress);
+        }
+        let rooms = vec![Some(usize::MAX); self.tiles.len()];
+        let points = self.refine_seams(aim, f64::NEG_INFINITY, usize::MAX, progress)?;
+        let down = Rung { level: f64::NEG_INFINITY, rooms: &rooms, is_exact: false };
+        self.descend(aim, down, points, progress)?;
+        Ok(Stop::Tolerance)
+    }
+
+    /// The surface as it is now, in one piece, and the edges where tiles meet; seams stay. `is_ordered`:
+    /// with triangles and vertices numbered by their place, in each tile for itself. Errors:
+    /// `out-of-memory`, `cancelled`.
+    pub fn finish(self, is_ordered: bool, progress: &mut Progress) -> Result<(Surface, Vec<u32>)> {
+        let mut parts: Vec<Part> = self.tiles.into_iter().map(Part::from).collect();
+        if is_ordered {
+            spread(progress, parts.iter_mut(), |part, progress| part.order(progress))?;
+        }
+        merge(self.shared, parts, progress)
     }
 
     /// Refines down to `max_points`, or until nothing is left to do.
     fn count_down<T: Height>(
         &mut self,
-        image: Image<T>,
+        aim: Aim<T>,
         (max_points, end): (usize, End),
         progress: &mut Progress,
     ) -> Result<Stop> {
@@ -179,17 +148,17 @@ impl Ladder<'_> {
         if self.tiles.iter().any(|tile| matches!(tile.queued, Queued::Nothing)) {
             let is_far = max_points / FAR > self.count();
             if is_far {
-                self.queue(image, SCOUTS, false, progress)?;
+                self.queue(aim, SCOUTS, false, progress)?;
             }
             if !is_far || !self.tiles.iter().any(Tile::is_waiting) {
-                self.queue(image, 1, false, progress)?;
+                self.queue(aim, 1, false, progress)?;
             }
         }
-        let mut outlook = self.outlook.take().unwrap_or_else(|| Outlook::new(image.rule));
+        let mut outlook = self.outlook.take().unwrap_or_else(|| Outlook::new(aim.rule));
         let mut last: Option<(usize, Vec<Waiting>)> = None;
         let stop = loop {
             let count = self.count();
-            let repair = if image.rule.is_max() { REPAIR * self.seams.count() as f64 } else { 0.0 } as usize;
+            let repair = if aim.rule.is_max() { REPAIR * self.seams.count() as f64 } else { 0.0 } as usize;
             let max_points = max_points.saturating_sub(repair);
             let (most, before) = (max_points as f64, count as f64);
             if count >= max_points || end == End::Rough && before > ROUGHLY * most {
@@ -208,9 +177,9 @@ impl Ladder<'_> {
             };
             let Some(target) = target.filter(|_| !is_stuck) else {
                 if self.tiles.iter().any(|tile| !tile.is_ready(is_exact)) {
-                    self.queue(image, 1, is_exact, progress)?;
+                    self.queue(aim, 1, is_exact, progress)?;
                 }
-                break self.go_singly(image, max_points, repair / 2, progress)?;
+                break self.go_singly(aim, max_points, repair / 2, progress)?;
             };
             if self.tiles.iter().all(|tile| tile.is_ready(false)) && !self.tiles.iter().any(Tile::is_waiting)
             {
@@ -227,14 +196,14 @@ impl Ladder<'_> {
             let mean = needs.iter().sum::<f64>() / (part * needs.len() as f64);
             let others = needs.iter_mut().zip(&self.tiles).filter(|(_, tile)| !has_queue(tile));
             others.for_each(|(need, _)| *need = mean);
-            let points = self.refine_seams(image, level, (left / 8.0) as usize, progress)?;
+            let points = self.refine_seams(aim, level, (left / 8.0) as usize, progress)?;
             let left = max_points.saturating_sub(self.count());
             let room = match end {
                 End::Level => ((ROOM * wanted) as usize).min((MOST_LEFT * left as f64) as usize) + 1,
                 End::Rough => left,
             };
             let rooms: Vec<_> = share_out(room, &needs).into_iter().map(Some).collect();
-            self.descend(image, Rung { level, rooms: &rooms, is_exact }, points, progress)?;
+            self.descend(aim, Rung { level, rooms: &rooms, is_exact }, points, progress)?;
             outlook.learn(&waiting, level, part * (self.count() - count) as f64);
             last = Some((count, waiting));
         };
@@ -245,21 +214,21 @@ impl Ladder<'_> {
     /// Has one in `step` tiles fill its queue, and insert nothing.
     fn queue<T: Height>(
         &mut self,
-        image: Image<T>,
+        aim: Aim<T>,
         step: usize,
         is_exact: bool,
         progress: &mut Progress,
     ) -> Result<()> {
         let rooms: Vec<_> = (0..self.tiles.len()).map(|i| i.is_multiple_of(step).then_some(0)).collect();
         let rung = Rung { level: f64::INFINITY, rooms: &rooms, is_exact };
-        self.descend(image, rung, vec![Vec::new(); rooms.len()], progress)
+        self.descend(aim, rung, vec![Vec::new(); rooms.len()], progress)
     }
 
     /// Inserts one candidate at a time, the most urgent of all tiles, until there are `max_points`;
     /// up to so many `more` where the last ones have uncovered what is more urgent than they were.
     fn go_singly<T: Height>(
         &mut self,
-        Image { grid, rule }: Image<T>,
+        Aim { image, rule }: Aim<T>,
         max_points: usize,
         more: usize,
         progress: &mut Progress,
@@ -270,7 +239,7 @@ impl Ladder<'_> {
         let tops = self.tiles.iter_mut().enumerate();
         let mut tops: BinaryHeap<(u64, Reverse<usize>)> =
             tops.filter_map(|(i, tile)| Some((tile.refiner.top()?.to_bits(), Reverse(i)))).collect();
-        let mut patch = Patch::nothing();
+        let (mut view, mut patch) = (image.view()?, Patch::nothing());
         let mut level = u64::MAX;
         while let Some((top, Reverse(i))) = tops.pop() {
             if count >= max_points + more || count >= max_points && top <= level {
@@ -280,14 +249,15 @@ impl Ladder<'_> {
             let tile = &mut self.tiles[i];
             let window = self.tiling.window(tile.number);
             let Queued::Now(frame) = tile.queued else { continue };
-            let cut = |patch: &mut Patch, corners: &[Point]| {
+            let show = |view: &mut View<T>, patch: &mut Patch, corners: &[Point]| {
                 let part = window.around(corners);
-                patch.cut(grid, (window, frame), part)?;
+                view.show(part, progress)?;
+                patch.cut(view, (window, frame), part)?;
                 self.tiling.on_seams(part).chain(corners.iter().copied()).for_each(|p| patch.exclude(p));
                 Ok(())
             };
             let before = tile.inserted();
-            let work = tile.refiner.step(grid, &mut patch, rule, cut)?;
+            let work = tile.refiner.step(&mut view, &mut patch, rule, show)?;
             count += tile.inserted() - before;
             tops.extend(tile.refiner.top().map(|top| (top.to_bits(), Reverse(i))));
             progress.poll(work, || (count - first) as f64 / (max_points + more - first) as f64)?;
@@ -299,12 +269,12 @@ impl Ladder<'_> {
     /// vertices than its room.
     fn descend<T: Height>(
         &mut self,
-        image: Image<T>,
+        aim: Aim<T>,
         Rung { level, rooms, is_exact }: Rung,
         points: Vec<Vec<(SeamPoint, u32)>>,
         progress: &mut Progress,
     ) -> Result<()> {
-        let (Image { grid, rule }, tiling) = (image, self.tiling);
+        let (Aim { image, rule }, tiling) = (aim, self.tiling);
         let tiles = self.tiles.iter_mut().zip(points).zip(rooms);
         let is_busy = |tile: &Tile, points: &[_], room: usize| {
             room > 0 || !points.is_empty() || !tile.is_ready(is_exact)
@@ -313,15 +283,24 @@ impl Ladder<'_> {
             .filter_map(|((tile, points), &room)| Some((tile, points, room?)))
             .filter(|(tile, points, room)| is_busy(tile, points, *room))
             .collect();
+        // Their memory is used again.
+        let idle = Mutex::new(Vec::new());
         spread(progress, busy.into_iter(), |(tile, points, room), progress| {
-            let mut patch = tile.prepare(image, tiling, &points, progress)?;
+            let window = tiling.window(tile.number);
+            let mut view = match idle.lock().unwrap_or_else(PoisonError::into_inner).pop() {
+                Some(view) => view,
+                None => image.view()?,
+            };
+            view.show(window, progress)?;
+            let mut patch = tile.prepare(&view, (window, rule), tiling, &points, progress)?;
             if is_exact && tile.refiner.is_sampling() {
-                tile.refiner.exact(grid, &patch, rule, progress)?;
+                tile.refiner.exact(&view, &patch, rule, progress)?;
             }
             let goal = Goal { points: tile.refiner.count().saturating_add(room), level };
-            tile.refiner.refine(grid, &mut patch, rule, goal, progress)?;
+            tile.refiner.refine(&view, &mut patch, rule, goal, progress)?;
             tile.refiner.note_samples();
             tile.refiner.compact();
+            idle.lock().unwrap_or_else(PoisonError::into_inner).push(view);
             Ok(())
         })?;
         Ok(())
@@ -330,7 +309,7 @@ impl Ladder<'_> {
     /// At most `most` new vertices on seams, numbered, for each of the tiles.
     fn refine_seams<T: Height>(
         &mut self,
-        Image { grid, rule }: Image<T>,
+        Aim { image, rule }: Aim<T>,
         level: f64,
         most: usize,
         progress: &mut Progress,
@@ -338,7 +317,7 @@ impl Ladder<'_> {
         let mut place = vec![usize::MAX; self.tiling.count()];
         self.tiles.iter().enumerate().for_each(|(i, tile)| place[tile.number] = i);
         let mut points = vec![Vec::new(); self.tiles.len()];
-        for point in self.seams.refine(grid, rule, level, self.tiling, most, progress)? {
+        for point in self.seams.refine(image, rule, level, self.tiling, most, progress)? {
             let number = self.shared.add(&point);
             for tile in point.tiles {
                 if let Some(points) = points.get_mut(place[tile]) {
@@ -364,35 +343,35 @@ impl Tile {
     /// The heights of the tile, after its new seam vertices have been inserted.
     fn prepare<T: Height>(
         &mut self,
-        Image { grid, rule }: Image<T>,
+        view: &View<T>,
+        (window, rule): (Window, &Rule),
         tiling: &Tiling,
         points: &[(SeamPoint, u32)],
         progress: &mut Progress,
     ) -> Result<Patch> {
-        let window = tiling.window(self.number);
         let mut patch = match self.queued {
-            Queued::Nothing => Patch::new(grid, window),
-            Queued::Before(frame) => Patch::again(grid, window, frame),
-            Queued::Now(frame) => Patch::framed(grid, window, frame),
+            Queued::Nothing => Patch::new(view, window),
+            Queued::Before(frame) => Patch::again(view, window, frame),
+            Queued::Now(frame) => Patch::framed(view, window, frame),
         }?;
         self.refiner.surface.mesh.warm();
         self.refiner.exclude_vertices(&mut patch);
         tiling.on_seams(window).for_each(|p| patch.exclude(p));
         if let Queued::Before(_) = self.queued {
-            self.refiner.start_again(grid, &patch, rule, progress)?;
+            self.refiner.start_again(view, &patch, rule, progress)?;
         }
         let is_first = matches!(self.queued, Queued::Nothing);
         for &(SeamPoint { pixel, z, .. }, number) in points {
             let Some(place) = self.border(pixel) else { continue };
             let v = if !is_first {
-                self.refiner.insert_at(grid, &mut patch, rule, (pixel, z, place)).0
+                self.refiner.insert_at(view, &mut patch, rule, (pixel, z, place)).0
             } else {
                 self.refiner.surface.insert_pixel(pixel, place, z)
             };
             self.share(v, number);
         }
         if is_first {
-            self.refiner.start(grid, &patch, rule, progress)?;
+            self.refiner.start(view, &patch, rule, progress)?;
         }
         self.queued = Queued::Now(patch.frame());
         Ok(patch)

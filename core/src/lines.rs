@@ -29,15 +29,16 @@ impl Lines {
     }
 
     /// Reads the columns of those of the rows, as many as there are lines, that lie after the
-    /// last one read; whether no pixel of them all is void.
+    /// last one read, a void as 0; whether no pixel of them all is void.
     #[inline(always)]
     pub fn hold<T: Height>(&mut self, grid: &Grid<T>, rows: Range<usize>, columns: Range<usize>) -> bool {
         for row in rows.start.max(self.end)..rows.end {
             let at = row % self.has_void.len();
             let mut has_void = false;
             for (into, z) in self.z[at * self.width..].iter_mut().zip(&grid.row(row)[columns.clone()]) {
-                *into = z.to_f64();
-                has_void |= into.is_nan();
+                let z = z.to_f64();
+                *into = if z.is_nan() { 0.0 } else { z };
+                has_void |= z.is_nan();
             }
             self.has_void[at] = has_void;
         }

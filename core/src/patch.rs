@@ -3,6 +3,7 @@
 
 use crate::error::{Error, Result};
 use crate::grid::{extent, Grid, Height};
+use crate::image::View;
 use crate::lanes::LANES;
 use crate::memory;
 use crate::predicate::{pixels_of, Point, SUB_BITS};
@@ -52,9 +53,9 @@ impl Window {
         Window { col, row, cols: cols.next_multiple_of(WIDTH).min(self.col + self.cols - col), rows }
     }
 
-    fn rows<'a, T: Height>(self, grid: &'a Grid<T>) -> impl Iterator<Item = &'a [T]> {
+    fn rows<'a, T: Height>(self, view: &'a View<T>) -> impl Iterator<Item = &'a [T]> {
         let Window { col, row, cols, rows } = self;
-        (row..row + rows).map(move |row| &grid.row(row)[col..col + cols])
+        (row..row + rows).map(move |row| view.row(row, col..col + cols))
     }
 }
 
@@ -116,8 +117,8 @@ impl Patch {
     /// A copy of the pixels in the window: over the lowest one, so that it does not matter how
     /// high all of it lies; if that rounds, as they are or over a height that takes nothing from
     /// single precision. Errors: `out-of-memory`, `too-large`.
-    pub fn new<T: Height>(grid: &Grid<T>, window: Window) -> Result<Self> {
-        let (low, high) = window.rows(grid).fold((f64::INFINITY, f64::NEG_INFINITY), |all, row| {
+    pub fn new<T: Height>(view: &View<T>, window: Window) -> Result<Self> {
+        let (low, high) = window.rows(view).fold((f64::INFINITY, f64::NEG_INFINITY), |all, row| {
             let (least, most) = extent(row);
             (all.0.min(least), all.1.max(most))
         });
@@ -126,14 +127,14 @@ impl Patch {
         let coarse = if is_far && middle.is_finite() { f64::from(middle as f32) } else { 0.0 };
         let lowest = if low.is_finite() { low } else { 0.0 };
         let mut patch = Patch::empty(window, lowest)?;
-        patch.fill::<T, true>(grid);
+        patch.fill::<T, true>(view);
         if !patch.frame.is_exact {
             patch.frame.reference = coarse;
-            patch.fill::<T, true>(grid);
+            patch.fill::<T, true>(view);
         }
         if !patch.frame.is_exact {
             patch.frame.reference = lowest;
-            patch.fill::<T, true>(grid);
+            patch.fill::<T, true>(view);
         }
         Ok(patch)
     }
@@ -158,22 +159,22 @@ impl Patch {
         // The same for rasters of all types.
         let reference = f64::from(reference as f32);
         let mut patch = Patch::empty(window, reference).ok()?;
-        patch.fill::<T, false>(grid);
+        patch.fill::<T, false>(&View::of(grid));
         let is_safe = patch.frame.largest == 0.0 || SAFE.contains(&patch.frame.largest);
         is_safe.then_some(patch)
     }
 
     /// The same of another image of the terrain, over the same height.
-    pub fn again<T: Height>(grid: &Grid<T>, window: Window, frame: Frame) -> Result<Self> {
+    pub fn again<T: Height>(view: &View<T>, window: Window, frame: Frame) -> Result<Self> {
         let mut patch = Patch::empty(window, frame.reference)?;
-        patch.fill::<T, true>(grid);
+        patch.fill::<T, true>(view);
         Ok(patch)
     }
 
     /// The same as one before.
-    pub fn framed<T: Height>(grid: &Grid<T>, window: Window, frame: Frame) -> Result<Self> {
+    pub fn framed<T: Height>(view: &View<T>, window: Window, frame: Frame) -> Result<Self> {
         let mut patch = Patch::empty(window, frame.reference)?;
-        patch.fill::<T, false>(grid);
+        patch.fill::<T, false>(view);
         patch.frame = frame;
         Ok(patch)
     }
@@ -189,7 +190,7 @@ impl Patch {
     /// the rows of the part is undefined. Errors: `out-of-memory`, `too-large`.
     pub fn cut<T: Height>(
         &mut self,
-        grid: &Grid<T>,
+        view: &View<T>,
         (window, frame): (Window, Frame),
         part: Window,
     ) -> Result<()> {
@@ -199,7 +200,7 @@ impl Patch {
             memory::ensure(size_of::<f32>() * count)?;
             self.z.resize(count, f32::NAN);
         }
-        for (into, heights) in self.z.chunks_mut(stride).zip(part.rows(grid)) {
+        for (into, heights) in self.z.chunks_mut(stride).zip(part.rows(view)) {
             shift::<T, false>(heights, frame.reference, &mut into[part.col - window.col..]);
         }
         (self.base, self.stride) = ((part.row - window.row) * stride, stride);
@@ -216,9 +217,9 @@ impl Patch {
     }
 
     /// Copies the heights over the reference; `is_exact` is looked into if `CHECK`.
-    fn fill<T: Height, const CHECK: bool>(&mut self, grid: &Grid<T>) {
+    fn fill<T: Height, const CHECK: bool>(&mut self, view: &View<T>) {
         let (mut largest, mut is_exact) = (0.0f32, true);
-        for (into, heights) in self.z.chunks_mut(self.stride).zip(self.window.rows(grid)) {
+        for (into, heights) in self.z.chunks_mut(self.stride).zip(self.window.rows(view)) {
             let shift = if CHECK && is_exact { shift::<T, true> } else { shift::<T, false> };
             let row = shift(heights, self.frame.reference, into);
             (largest, is_exact) = (largest.max(row.0), is_exact & row.1);
@@ -244,12 +245,12 @@ impl Patch {
 
     /// Height of a candidate.
     #[inline]
-    pub fn height<T: Height>(&self, place: usize, grid: &Grid<T>) -> f64 {
+    pub fn height<T: Height>(&self, place: usize, view: &View<T>) -> f64 {
         if self.frame.is_exact {
             return f64::from(self.z(place)) + self.frame.reference;
         }
         let (col, row) = self.pixel(place);
-        grid.at(col, row)
+        view.at(col, row)
     }
 
     pub fn stride(&self) -> usize {
@@ -340,14 +341,14 @@ mod tests {
         ) {
             let [col, row, more_cols, more_rows] = window;
             let window = Window { col, row, cols: 2 + more_cols, rows: 2 + more_rows };
-            let grid = Grid::new(&z, 40, 40).unwrap();
-            let whole = Patch::new(&grid, window).unwrap();
+            let view = View::of(&Grid::new(&z, 40, 40).unwrap());
+            let whole = Patch::new(&view, window).unwrap();
             let points = [0, 1, 2].map(|i| Point::pixel(col + c[2 * i] % window.cols, row + c[2 * i + 1] % window.rows));
             let part = window.around(&points);
             let mut cut = Patch::nothing();
             let elsewhere = Window { col: 0, row: 0, cols: 40, rows: 40 };
-            cut.cut(&grid, (elsewhere, whole.frame()), elsewhere).unwrap();
-            cut.cut(&grid, (window, whole.frame()), part).unwrap();
+            cut.cut(&view, (elsewhere, whole.frame()), elsewhere).unwrap();
+            cut.cut(&view, (window, whole.frame()), part).unwrap();
             prop_assert_eq!((whole.stride(), whole.size(), whole.largest()), (cut.stride(), cut.size(), cut.largest()));
             for p in points {
                 let (c, r) = p.as_pixel().unwrap();

@@ -7,7 +7,8 @@ use crate::error::{Error, Result};
 use crate::fit::Fit;
 use crate::flip::flip_pass;
 use crate::grid::{largest, Grid, Height};
-use crate::ladder::{End, Refinement};
+use crate::image::{is_by_tile, Image, Source};
+use crate::ladder::End;
 use crate::measure::count_covered;
 use crate::memory;
 use crate::mesh::{triangle_of, Mesh};
@@ -17,6 +18,7 @@ use crate::outline::Shape;
 use crate::predicate::Metric;
 use crate::progress::Progress;
 use crate::refine::{Refiner, Stop};
+use crate::refinement::Refinement;
 use crate::repair::repair;
 use crate::rule::Rule;
 use crate::scale::{choose, gaussian, gaussian_over, noise_left};
@@ -134,6 +136,14 @@ pub fn triangulate<T: Height>(
 
     progress.stage("smooth")?;
     let bounded = options.has_tolerance && options.rule.bound == 1.0;
+    // An image that is wanted after its refinement is held.
+    let is_wanted = bounded || options.rule.is_max() || options.fit || options.flips > 0;
+    let by_tile = match &options.scales {
+        Scales::Given(sigmas) if !is_wanted && tiling.count() > 1 && is_by_tile(grid.z(), sigmas) => {
+            Some(Source { grid: whole, left_out: &beside, tiling: &tiling })
+        }
+        _ => None,
+    };
     let (mut scales, mut finest) = match &options.scales {
         // A bound on the error counts against the data, so nothing is smoothed away.
         Scales::Auto if bounded => (vec![[0.0; 2]], Cow::Borrowed(data.z())),
@@ -141,6 +151,7 @@ pub fn triangulate<T: Height>(
             let smooth = choose(&whole, noise, progress)?;
             (vec![[smooth.sigma; 2]], smooth.z)
         }
+        Scales::Given(sigmas) if by_tile.is_some() => (sigmas.clone(), Cow::Borrowed(data.z())),
         Scales::Given(sigmas) => (sigmas.clone(), gaussian(&whole, sigmas[0], progress)?),
     };
     let most = count_limit(&surface.mesh, &whole, options, progress)?;
@@ -151,9 +162,10 @@ pub fn triangulate<T: Height>(
     }
 
     leave_out(&mut finest, &beside);
-    let image = Grid::new(&finest, grid.rows(), grid.cols())?;
-    surface.sample(&image);
-    surface.insert_pixels(&options.constraints.pixels, &image);
+    let image = Image::of(Grid::new(&finest, grid.rows(), grid.cols())?, by_tile, scales[0], progress)?;
+    surface.sample(&image, progress)?;
+    surface.insert_pixels(&options.constraints.pixels, &image, progress)?;
+    drop(image);
     let is_too_few = surface.count() > most;
     let mut stop = Stop::Tolerance;
     let first = surface.count();
@@ -161,14 +173,17 @@ pub fn triangulate<T: Height>(
     for (i, &sigma) in scales.iter().enumerate() {
         if i > 0 {
             progress.stage("smooth")?;
-            finest = gaussian_over(&whole, sigma, finest, progress)?;
-            leave_out(&mut finest, &beside);
+            if by_tile.is_none() {
+                finest = gaussian_over(&whole, sigma, finest, progress)?;
+                leave_out(&mut finest, &beside);
+            }
             if bounded && sigma == [0.0; 2] {
                 (surface, _) = refinement.finish(false, progress)?;
-                surface.sample(&data);
+                surface.sample(&Image::Held(data), progress)?;
                 refinement = Refinement::new(surface, &tiling)?;
             }
         }
+        let image = Image::of(Grid::new(&finest, grid.rows(), grid.cols())?, by_tile, sigma, progress)?;
         progress.stage("refine")?;
         let end = if i + 1 == scales.len() { End::Level } else { End::Rough };
         let limit = match options.points_per_scale {
@@ -185,7 +200,6 @@ pub fn triangulate<T: Height>(
         if options.stop_at_noise {
             rule.tolerance = rule.tolerance.max(SIGNIFICANT * noise * noise_left(sigma));
         }
-        let image = Grid::new(&finest, grid.rows(), grid.cols())?;
         stop = refinement.refine(&image, &rule, (limit, end), progress)?;
     }
     let is_ordered = options.fit || options.flips > 0 || tiling.count() == 1;
@@ -382,6 +396,6 @@ fn restore_bound<T: Height>(
     }
     progress.stage("refine")?;
     let mut refiner = Refiner::new(surface);
-    let stop = refiner.run(data, rule, max_points, progress)?;
+    let stop = refiner.run(&Image::Held(*data), rule, max_points, progress)?;
     Ok((refiner.surface, stop))
 }

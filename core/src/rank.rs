@@ -1,7 +1,8 @@
 //! Where a triangle stands against the rule: its priority, and how its pixel is to be found.
 
 use crate::facet::Facet;
-use crate::grid::{Grid, Height};
+use crate::grid::Height;
+use crate::image::View;
 use crate::lanes::{Kernel, Lanes, Part, Vectors};
 use crate::list::List;
 use crate::patch::Patch;
@@ -74,7 +75,7 @@ impl Ranker {
     #[inline]
     pub fn rank<T: Height>(
         &mut self,
-        grid: &Grid<T>,
+        view: &View<T>,
         patch: &Patch,
         rule: &Rule,
         (p, z): ([Point; 3], [f64; 3]),
@@ -83,7 +84,7 @@ impl Ranker {
         let ranked = match standing {
             Standing::Within => None,
             Standing::Beyond(ranked) => Some(ranked),
-            Standing::Unclear => exactly(&Facet::new(patch, p, z), patch, grid, rule),
+            Standing::Unclear => exactly(&Facet::new(patch, p, z), patch, view, rule),
         };
         (ranked, work)
     }
@@ -220,7 +221,7 @@ fn verdict(patch: &Patch, facet: &Facet, error: f32, tolerance: f64) -> Verdict 
 }
 
 /// The rule on errors in double precision.
-fn exactly<T: Height>(facet: &Facet, patch: &Patch, grid: &Grid<T>, rule: &Rule) -> Option<Ranked> {
-    let ranked = rule.rank(facet.exact(patch, grid));
+fn exactly<T: Height>(facet: &Facet, patch: &Patch, view: &View<T>, rule: &Rule) -> Option<Ranked> {
+    let ranked = rule.rank(facet.exact(patch, view));
     ranked.map(|(priority, place)| Ranked { priority, place, pick: Pick::KNOWN })
 }

@@ -2,7 +2,8 @@
 
 use crate::error::Result;
 use crate::facet::Facet;
-use crate::grid::{Grid, Height};
+use crate::grid::Height;
+use crate::image::{Image, View};
 use crate::lanes::Vectors;
 use crate::memory;
 use crate::mesh::{triangle_of, Class};
@@ -106,21 +107,23 @@ impl Refiner {
         self.surface.z.len() - self.scaffolding
     }
 
-    /// Algorithm 1 on `grid`, starting from the mesh as it stands, until there are
+    /// Algorithm 1 on the image, starting from the mesh as it stands, until there are
     /// `max_points` vertices or every triangle satisfies the rule's tolerance.
     pub fn run<T: Height>(
         &mut self,
-        grid: &Grid<T>,
+        image: &Image<T>,
         rule: &Rule,
         max_points: usize,
         progress: &mut Progress,
     ) -> Result<Stop> {
-        let window = Window { col: 0, row: 0, cols: grid.cols(), rows: grid.rows() };
-        let mut patch = Patch::new(grid, window)?;
+        let window = Window { col: 0, row: 0, cols: image.cols(), rows: image.rows() };
+        let mut view = image.view()?;
+        view.show(window, progress)?;
+        let mut patch = Patch::new(&view, window)?;
         self.exclude_vertices(&mut patch);
-        self.start(grid, &patch, rule, progress)?;
+        self.start(&view, &patch, rule, progress)?;
         let goal = Goal { points: max_points, level: f64::NEG_INFINITY };
-        let reached = self.refine(grid, &mut patch, rule, goal, progress)?;
+        let reached = self.refine(&view, &mut patch, rule, goal, progress)?;
         Ok(if reached == Reached::Points { Stop::Points } else { Stop::Tolerance })
     }
 
@@ -132,7 +135,7 @@ impl Refiner {
     /// Queues all triangles, which lie in the patch.
     pub fn start<T: Height>(
         &mut self,
-        grid: &Grid<T>,
+        view: &View<T>,
         patch: &Patch,
         rule: &Rule,
         progress: &mut Progress,
@@ -148,14 +151,14 @@ impl Refiner {
             _ => Order::Exact,
         });
         let all = vec![true; self.surface.mesh.triangles().len()];
-        self.enqueue_those(&all, grid, patch, rule, progress)
+        self.enqueue_those(&all, view, patch, rule, progress)
     }
 
     /// After [`Refiner::start`] on another image: has the triangles in the queue scanned again
     /// when it is their turn, and queues the others.
     pub fn start_again<T: Height>(
         &mut self,
-        grid: &Grid<T>,
+        view: &View<T>,
         patch: &Patch,
         rule: &Rule,
         progress: &mut Progress,
@@ -163,13 +166,13 @@ impl Refiner {
         self.park();
         let mut is_new = vec![true; self.surface.mesh.triangles().len()];
         self.queue.rescan(|c| is_new[c.triangle as usize] = false);
-        self.enqueue_those(&is_new, grid, patch, rule, progress)
+        self.enqueue_those(&is_new, view, patch, rule, progress)
     }
 
     /// From now on no sample stands for a triangle; those it stood for are scanned in full.
     pub fn exact<T: Height>(
         &mut self,
-        grid: &Grid<T>,
+        view: &View<T>,
         patch: &Patch,
         rule: &Rule,
         progress: &mut Progress,
@@ -184,13 +187,13 @@ impl Refiner {
         self.ranker.is_sampling = false;
         self.queue
             .park(|c| mesh.triangle(c.triangle).version == c.version && !is_sampled[c.triangle as usize]);
-        self.enqueue_those(&is_sampled, grid, patch, rule, progress)
+        self.enqueue_those(&is_sampled, view, patch, rule, progress)
     }
 
     /// Inserts what is queued, most urgent first, up to the goal.
     pub fn refine<T: Height>(
         &mut self,
-        grid: &Grid<T>,
+        view: &View<T>,
         patch: &mut Patch,
         rule: &Rule,
         goal: Goal,
@@ -210,11 +213,11 @@ impl Refiner {
                 return Ok(Reached::Level);
             };
             if best.pick == Pick::RESCAN {
-                let work = self.enqueue(grid, patch, rule, best.triangle);
+                let work = self.enqueue(view, patch, rule, best.triangle);
                 progress.poll(work, || 0.0)?;
                 continue;
             }
-            let work = self.insert_candidate(grid, patch, rule, &best);
+            let work = self.insert_candidate(view, patch, rule, &best);
             let first = *first_priority.get_or_insert(best.priority);
             let (count, last) = (self.count(), rule.tolerance.max(goal.level));
             progress.poll(work, || {
@@ -248,46 +251,46 @@ impl Refiner {
         self.queue.top(|c| mesh.triangle(c.triangle).version == c.version)
     }
 
-    /// Works off the most urgent candidate alone. `cut` puts what lies around some corners, which
-    /// are no candidates, into the patch. Returns the work done in pixels.
-    pub fn step<T: Height>(
+    /// Works off the most urgent candidate alone. `show` has the view show what lies around some corners, and puts it,
+    /// none of these being candidates, into the patch. Returns the work done in pixels.
+    pub fn step<'i, T: Height>(
         &mut self,
-        grid: &Grid<T>,
+        view: &mut View<'i, T>,
         patch: &mut Patch,
         rule: &Rule,
-        cut: impl Fn(&mut Patch, &[Point]) -> Result<()>,
+        mut show: impl FnMut(&mut View<'i, T>, &mut Patch, &[Point]) -> Result<()>,
     ) -> Result<usize> {
         let mesh = &self.surface.mesh;
         let is_current = |c: &Candidate| mesh.triangle(c.triangle).version == c.version;
         let Some(best) = self.queue.pop(1, is_current) else { return Ok(0) };
-        cut(patch, &mesh.corners(best.triangle))?;
+        show(view, patch, &mesh.corners(best.triangle))?;
         if best.pick == Pick::RESCAN {
-            return Ok(self.enqueue(grid, patch, rule, best.triangle));
+            return Ok(self.enqueue(view, patch, rule, best.triangle));
         }
-        let (pixel, z, place) = self.candidate(grid, patch, &best);
+        let (pixel, z, place) = self.candidate(view, patch, &best);
         self.insert((pixel, z, place));
         let mesh = &self.surface.mesh;
         let corners: Vec<Point> = self.around.iter().flat_map(|&t| mesh.corners(t)).collect();
-        cut(patch, &corners)?;
-        Ok(self.enqueue_around(grid, patch, rule))
+        show(view, patch, &corners)?;
+        Ok(self.enqueue_around(view, patch, rule))
     }
 
     /// Inserts the pixel and queues the triangles around it. Returns the work done in pixels.
     fn insert_candidate<T: Height>(
         &mut self,
-        grid: &Grid<T>,
+        view: &View<T>,
         patch: &mut Patch,
         rule: &Rule,
         best: &Candidate,
     ) -> usize {
-        let candidate = self.candidate(grid, patch, best);
-        self.insert_at(grid, patch, rule, candidate).1
+        let candidate = self.candidate(view, patch, best);
+        self.insert_at(view, patch, rule, candidate).1
     }
 
     /// The pixel to insert, its height and its place in the mesh.
     fn candidate<T: Height>(
         &self,
-        grid: &Grid<T>,
+        view: &View<T>,
         patch: &Patch,
         best: &Candidate,
     ) -> ((usize, usize), f64, Location) {
@@ -297,7 +300,7 @@ impl Refiner {
         };
         let pixel = patch.pixel(found);
         let place = self.surface.mesh.place_in(Point::pixel(pixel.0, pixel.1), best.triangle);
-        (pixel, patch.height(found, grid), place)
+        (pixel, patch.height(found, view), place)
     }
 
     #[inline]
@@ -309,14 +312,14 @@ impl Refiner {
     /// around it. Returns the vertex and the work done in pixels.
     pub fn insert_at<T: Height>(
         &mut self,
-        grid: &Grid<T>,
+        view: &View<T>,
         patch: &mut Patch,
         rule: &Rule,
         (pixel, z, place): ((usize, usize), f64, Location),
     ) -> (u32, usize) {
         let v = self.insert((pixel, z, place));
         patch.exclude(Point::pixel(pixel.0, pixel.1));
-        (v, self.enqueue_around(grid, patch, rule))
+        (v, self.enqueue_around(view, patch, rule))
     }
 
     /// Inserts a pixel and notes the triangles around it.
@@ -331,9 +334,9 @@ impl Refiner {
 
     /// Queues the triangles around the last vertex. Returns the work done in pixels.
     #[inline]
-    fn enqueue_around<T: Height>(&mut self, grid: &Grid<T>, patch: &Patch, rule: &Rule) -> usize {
+    fn enqueue_around<T: Height>(&mut self, view: &View<T>, patch: &Patch, rule: &Rule) -> usize {
         let around = std::mem::take(&mut self.around);
-        let work: usize = around.iter().map(|&t| self.enqueue(grid, patch, rule, t)).sum();
+        let work: usize = around.iter().map(|&t| self.enqueue(view, patch, rule, t)).sum();
         self.around = around;
         64 + work
     }
@@ -342,13 +345,13 @@ impl Refiner {
     fn enqueue_those<T: Height>(
         &mut self,
         marked: &[bool],
-        grid: &Grid<T>,
+        view: &View<T>,
         patch: &Patch,
         rule: &Rule,
         progress: &mut Progress,
     ) -> Result<()> {
         for (t, _) in (0..).zip(marked).filter(|(_, is_marked)| **is_marked) {
-            let work = self.enqueue(grid, patch, rule, t);
+            let work = self.enqueue(view, patch, rule, t);
             progress.poll(work, || 0.0)?;
         }
         Ok(())
@@ -357,14 +360,14 @@ impl Refiner {
     /// Scans triangle `t` and queues its candidate unless it is within the
     /// tolerance. Returns the work done in pixels.
     #[inline]
-    fn enqueue<T: Height>(&mut self, grid: &Grid<T>, patch: &Patch, rule: &Rule, t: u32) -> usize {
+    fn enqueue<T: Height>(&mut self, view: &View<T>, patch: &Patch, rule: &Rule, t: u32) -> usize {
         let triangle = self.surface.mesh.triangle(t);
         if triangle.class() != Class::Data {
             return 0;
         }
         let version = triangle.version;
         let triangle = (self.surface.mesh.corners(t), self.surface.heights(t));
-        let (ranked, work) = self.ranker.rank(grid, patch, rule, triangle);
+        let (ranked, work) = self.ranker.rank(view, patch, rule, triangle);
         if let Some(Ranked { priority, place, pick }) = ranked {
             self.queue.push(Candidate { priority, pixel: place as u32, triangle: t, version, pick });
         }

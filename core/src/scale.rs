@@ -5,6 +5,7 @@ use crate::grid::{Grid, Height};
 use crate::lanes::Vectors;
 use crate::memory;
 use crate::noise::{stride, MAX_SAMPLES};
+use crate::patch::Window;
 use crate::progress::Progress;
 use crate::smoother::Smoother;
 use crate::threads::spread;
@@ -19,7 +20,7 @@ pub fn reach(sigma: f64) -> usize {
 }
 
 /// Sampled Gaussian of standard deviation `sigma` pixels, sum 1.
-fn kernel(sigma: f64) -> Vec<f64> {
+pub fn kernel(sigma: f64) -> Vec<f64> {
     let radius = reach(sigma) as i64;
     let weight = |k: i64| if k == 0 { 1.0 } else { (-0.5 * (k as f64 / sigma).powi(2)).exp() };
     let total: f64 = (-radius..=radius).map(weight).sum();
@@ -74,7 +75,9 @@ pub fn gaussian_over<'a, T: Height>(
     let kernels = sigma.map(kernel);
     let bands = smooth.chunks_mut(BAND * grid.cols()).enumerate();
     spread(progress, bands, |(band, into), progress| {
-        Smoother::new(grid, &kernels, Vectors::best())?.rows(band * BAND, into, progress)
+        let rows = into.len() / grid.cols();
+        let window = Window { col: 0, row: band * BAND, cols: grid.cols(), rows };
+        Smoother::new(grid, &kernels, Vectors::best())?.window(window, into, progress)
     })?;
     Ok(Cow::Owned(smooth))
 }
@@ -122,7 +125,7 @@ fn mean_squared_residual<T: Height>(grid: &Grid<T>, sigma: f64, progress: &mut P
         let mut smooth = vec![T::from_f64(0.0); grid.cols()];
         let (mut sum, mut count) = (0.0, 0);
         for &row in rows {
-            smoother.rows(row, &mut smooth, progress)?;
+            smoother.window(Window { col: 0, row, cols: grid.cols(), rows: 1 }, &mut smooth, progress)?;
             for (smooth, z) in smooth.iter().zip(grid.row(row)) {
                 let residual = smooth.to_f64() - z.to_f64();
                 if !residual.is_nan() {

@@ -1,7 +1,8 @@
 //! The vertices along the seams between tiles, from the pixels on the seams alone.
 
 use crate::error::Result;
-use crate::grid::{Grid, Height};
+use crate::grid::Height;
+use crate::image::Image;
 use crate::mesh::{half_edge, triangle_of, Class, NONE};
 use crate::predicate::Point;
 use crate::progress::Progress;
@@ -91,7 +92,7 @@ impl Seams {
     /// they were found.
     pub fn refine<T: Height>(
         &mut self,
-        grid: &Grid<T>,
+        image: &Image<T>,
         rule: &Rule,
         level: f64,
         tiling: &Tiling,
@@ -99,7 +100,7 @@ impl Seams {
         progress: &mut Progress,
     ) -> Result<Vec<SeamPoint>> {
         let split =
-            |edges: &[Edge], most: usize| split_up(edges, (grid, rule), (SHARE * level, most), tiling);
+            |edges: &[Edge], most: usize| split_up(edges, (image, rule), (SHARE * level, most), tiling);
         let chunks = || self.edges.chunks(AT_ONCE);
         let parts = spread(progress, chunks(), |edges, progress| {
             progress.poll(edges.iter().map(Edge::length).sum::<usize>(), || 0.0)?;
@@ -121,7 +122,7 @@ impl Seams {
 /// them.
 fn split_up<T: Height>(
     edges: &[Edge],
-    (grid, rule): (&Grid<T>, &Rule),
+    (image, rule): (&Image<T>, &Rule),
     (level, most): (f64, usize),
     tiling: &Tiling,
 ) -> (Vec<Edge>, Vec<SeamPoint>) {
@@ -133,7 +134,7 @@ fn split_up<T: Height>(
             continue;
         }
         if let Split::Unknown = edge.split {
-            edge.split = edge.candidate(grid, rule, &mut errors);
+            edge.split = edge.candidate(image, rule, &mut errors);
         }
         let pixel = match edge.split {
             Split::At(priority, pixel) if priority > level => Some(pixel),
@@ -142,7 +143,7 @@ fn split_up<T: Height>(
         match pixel.and_then(|pixel| Some((pixel, tiling.beside(pixel.0, pixel.1)?))) {
             None => done.push(edge),
             Some((pixel, tiles)) => {
-                let z = grid.at(pixel.0, pixel.1);
+                let z = image.on_seam(pixel.0, pixel.1);
                 found.push(SeamPoint { pixel, z, tiles });
                 let ([a, b], [za, zb]) = (edge.ends, edge.z);
                 open.push(Edge::between([a, pixel], [za, z]));
@@ -176,7 +177,7 @@ impl Edge {
     /// The pixel to split the edge at, if it is beyond its share of the tolerance.
     fn candidate<T: Height>(
         &self,
-        grid: &Grid<T>,
+        image: &Image<T>,
         rule: &Rule,
         errors: &mut Vec<(f64, (usize, usize))>,
     ) -> Split {
@@ -186,7 +187,7 @@ impl Edge {
         errors.clear();
         for i in 1..length {
             let pixel = (a.0 + i * right, a.1 + i * down);
-            let error = (grid.at(pixel.0, pixel.1) - self.z[0] - slope * i as f64).abs();
+            let error = (image.on_seam(pixel.0, pixel.1) - self.z[0] - slope * i as f64).abs();
             if !error.is_nan() {
                 errors.push((error, pixel));
             }

@@ -1,9 +1,12 @@
 //! A mesh whose vertices have heights.
 
 use crate::curve::insertion_order;
+use crate::error::Result;
 use crate::grid::{Grid, Height};
+use crate::image::Image;
 use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
 use crate::predicate::Point;
+use crate::progress::Progress;
 use crate::triangle::Location;
 
 #[derive(Clone)]
@@ -35,13 +38,15 @@ impl Surface {
         surface
     }
 
-    /// Gives every vertex that is free the height of `grid`.
-    pub fn sample<T: Height>(&mut self, grid: &Grid<T>) {
+    /// Gives every vertex that is free the height of the image. Errors: `out-of-memory`, `cancelled`.
+    pub fn sample<T: Height>(&mut self, image: &Image<T>, progress: &mut Progress) -> Result<()> {
+        let mut view = image.view()?;
         for ((z, p), is_fixed) in self.z.iter_mut().zip(self.mesh.points()).zip(&self.is_fixed) {
             if !z.is_nan() && !is_fixed {
-                *z = grid.interpolate(*p);
+                *z = view.interpolate(*p, progress)?;
             }
         }
+        Ok(())
     }
 
     /// Some of the triangles, ascending, with what they stand on; and the vertices' numbers in the
@@ -76,15 +81,24 @@ impl Surface {
         self.z.len() - self.count_scaffolding()
     }
 
-    /// Makes the pixels (column, row) of `grid` vertices, unless they lie outside the data.
-    pub fn insert_pixels<T: Height>(&mut self, pixels: &[(usize, usize)], grid: &Grid<T>) {
+    /// Makes the pixels (column, row) of the image vertices, unless they lie outside the data.
+    /// Errors: `out-of-memory`, `cancelled`.
+    pub fn insert_pixels<T: Height>(
+        &mut self,
+        pixels: &[(usize, usize)],
+        image: &Image<T>,
+        progress: &mut Progress,
+    ) -> Result<()> {
+        let mut view = image.view()?;
         let points: Vec<Point> = pixels.iter().map(|&(col, row)| Point::pixel(col, row)).collect();
         for i in insertion_order(&points) {
             let place = self.mesh.locate(points[i], self.mesh.triangles().len() as u32 - 1);
             if self.mesh.is_in_data(place) {
-                self.insert_pixel(pixels[i], place, grid.interpolate(points[i]));
+                let z = view.interpolate(points[i], progress)?;
+                self.insert_pixel(pixels[i], place, z);
             }
         }
+        Ok(())
     }
 
     /// Heights of the corners of triangle `t`.

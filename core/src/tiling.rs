@@ -46,12 +46,17 @@ impl Tiling {
         part(&self.rows, pixel(a.y, b.y, c.y)) * (self.columns.len() - 1) + i
     }
 
+    /// The columns and the rows that seams lie on.
+    pub fn seam_lines(&self) -> (&[usize], &[usize]) {
+        let inner = |cuts: &'_ [usize]| 1..cuts.len() - 1;
+        (&self.columns[inner(&self.columns)], &self.rows[inner(&self.rows)])
+    }
+
     /// The seams, as the points where they start, meet and end.
     pub fn seams(&self) -> Vec<Vec<Point>> {
-        let inner = |cuts: &[usize]| cuts[1..cuts.len() - 1].to_vec();
-        let across =
-            inner(&self.rows).into_iter().map(|row| line(&self.columns, |col| Point::pixel(col, row)));
-        let down = inner(&self.columns).into_iter().map(|col| line(&self.rows, |row| Point::pixel(col, row)));
+        let (columns, rows) = self.seam_lines();
+        let across = rows.iter().map(|&row| line(&self.columns, |col| Point::pixel(col, row)));
+        let down = columns.iter().map(|&col| line(&self.rows, |row| Point::pixel(col, row)));
         across.chain(down).collect()
     }
 
@@ -69,9 +74,9 @@ impl Tiling {
     /// Pixels on the border of a window that lie on seams, not on the border of the raster.
     pub fn on_seams(&self, window: Window) -> impl Iterator<Item = Point> + '_ {
         let Window { col, row, cols, rows } = window;
-        let is_seam = |cuts: &[usize], at: usize| cuts[1..cuts.len() - 1].binary_search(&at).is_ok();
-        let columns = [col, col + cols - 1].into_iter().filter(move |&c| is_seam(&self.columns, c));
-        let lines = [row, row + rows - 1].into_iter().filter(move |&r| is_seam(&self.rows, r));
+        let (across, down) = self.seam_lines();
+        let columns = [col, col + cols - 1].into_iter().filter(|c| across.binary_search(c).is_ok());
+        let lines = [row, row + rows - 1].into_iter().filter(|r| down.binary_search(r).is_ok());
         let down = columns.flat_map(move |c| (row..row + rows).map(move |r| Point::pixel(c, r)));
         down.chain(lines.flat_map(move |r| (col..col + cols).map(move |c| Point::pixel(c, r))))
     }

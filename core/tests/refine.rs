@@ -8,6 +8,7 @@ use common::{
     sorted, triangle_set, Random, AUTO, MAX, PAPER,
 };
 use dem2tin_core::grid::Grid;
+use dem2tin_core::image::Image;
 use dem2tin_core::lanes::Vectors;
 use dem2tin_core::pipeline::{Options, Scales};
 use dem2tin_core::predicate::{orient2d, Metric, Point};
@@ -78,7 +79,7 @@ fn choices(z: &[f64], cols: usize, points: &[Point], rule: &Rule) -> Vec<(f64, P
 fn refined(z: &[f64], rows: usize, cols: usize, rule: &Rule, n: usize) -> (Refiner, Stop) {
     let grid = Grid::new(z, rows, cols).unwrap();
     let mut refiner = Refiner::new(outlined(&grid, SKEW).unwrap());
-    let stop = quietly(|progress| refiner.run(&grid, rule, n, progress)).unwrap();
+    let stop = quietly(|progress| refiner.run(&Image::Held(grid), rule, n, progress)).unwrap();
     (refiner, stop)
 }
 
@@ -243,7 +244,7 @@ fn all_vectors_give_the_same_mesh() {
     for rule in [MAX, PAPER, AUTO] {
         let mesh = |vectors| {
             let mut refiner = Refiner::with_vectors(outlined(&grid, Metric::SQUARE).unwrap(), vectors);
-            quietly(|progress| refiner.run(&grid, &rule, 900, progress)).unwrap();
+            quietly(|progress| refiner.run(&Image::Held(grid), &rule, 900, progress)).unwrap();
             (refiner.surface.mesh.points().to_vec(), triangle_set(&refiner.surface.mesh))
         };
         assert_eq!(mesh(Vectors::Plain), mesh(Vectors::best()));

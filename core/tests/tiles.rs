@@ -5,13 +5,20 @@ mod common;
 
 use common::strategies::{metric, raster};
 use common::{assert_sound, fingerprint, full, hills, plain, residuals, run, Random, AUTO, MAX, PAPER};
-use dem2tin_core::domain::Constraints;
+use dem2tin_core::beside::leave_out;
+use dem2tin_core::domain::{domain, Constraints};
 use dem2tin_core::grid::Grid;
+use dem2tin_core::image::{Image, Source};
+use dem2tin_core::ladder::{End, Ladder};
+use dem2tin_core::outline::Shape;
 use dem2tin_core::pipeline::{triangulate, Options, Scales, Triangulation};
 use dem2tin_core::predicate::Metric;
 use dem2tin_core::progress::Progress;
 use dem2tin_core::refine::Stop;
 use dem2tin_core::rule::Rule;
+use dem2tin_core::scale::gaussian;
+use dem2tin_core::surface::Surface;
+use dem2tin_core::tiling::Tiling;
 use proptest::prelude::*;
 
 fn rmse(done: &Triangulation, z: &[f64], cols: usize) -> f64 {
@@ -166,6 +173,46 @@ fn scales_in_tiles_are_no_worse_than_in_one_piece() {
     assert_eq!(tiled.surface.mesh.points().len(), side * side / 20);
     let ratio = rmse(&tiled, &z, side) / rmse(&whole, &z, side);
     assert!(ratio < 1.03, "{ratio}");
+}
+
+/// Refined scale by scale, each image held or smoothed by tile.
+fn refined_by_scales(z: &[f32], side: usize, left_out: &[usize], is_by_tile: bool) -> Surface {
+    let (grid, tiling) = (Grid::new(z, side, side).unwrap(), Tiling::new(side, side, 40));
+    let mut report = |_: &'static str, _: f64| true;
+    let progress = &mut Progress::new(&mut report);
+    let (shape, constraints) = (Shape::default(), Constraints::default());
+    let mut surface = domain(&grid, Metric::SQUARE, &shape, &constraints, &tiling, progress).unwrap();
+    let sigmas = [[0.9, 0.8], [0.6, 0.7], [0.0; 2]];
+    let mut refinement = None;
+    for (i, sigma) in sigmas.into_iter().enumerate() {
+        let mut held = gaussian(&grid, sigma, progress).unwrap();
+        leave_out(&mut held, left_out);
+        let held = Grid::new(&held, side, side).unwrap();
+        let by_tile = is_by_tile.then_some(Source { grid, left_out, tiling: &tiling });
+        let image = Image::of(held, by_tile, sigma, progress).unwrap();
+        if i == 0 {
+            surface.sample(&image, progress).unwrap();
+            surface.insert_pixels(&[(3, 5), (70, 80)], &image, progress).unwrap();
+        }
+        let ladder = refinement.get_or_insert_with(|| Ladder::new(surface.clone(), &tiling).unwrap());
+        let end = if i == 2 { End::Level } else { End::Rough };
+        ladder.refine(&image, &PAPER, (1000 * (i + 1), end), progress).unwrap();
+    }
+    let (surface, _) = refinement.unwrap().finish(false, progress).unwrap();
+    assert_eq!(surface.count(), 3000);
+    surface
+}
+
+#[test]
+fn an_image_smoothed_by_tile_is_refined_like_one_that_is_held() {
+    let side = 150;
+    let mut z: Vec<f32> = relief(side, 9).iter().map(|&z| z as f32).collect();
+    (0..40).for_each(|i| z[(side / 2 + i % 9) * side + 7 * i % side] = f32::NAN);
+    let left_out: Vec<usize> = (0..side).map(|i| i * side + i).collect();
+    let [a, b] = [true, false].map(|is_by_tile| refined_by_scales(&z, side, &left_out, is_by_tile));
+    let corners = |surface: &Surface| surface.mesh.triangles().iter().map(|t| t.v).collect::<Vec<_>>();
+    assert_eq!((a.mesh.points(), corners(&a)), (b.mesh.points(), corners(&b)));
+    assert!(a.z.iter().map(|z| z.to_bits()).eq(b.z.iter().map(|z| z.to_bits())));
 }
 
 #[test]
