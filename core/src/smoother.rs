@@ -288,9 +288,9 @@ fn weigh_all<'l>(weights: &[f64], pair: impl Fn(usize) -> [&'l [f64]; 2], into: 
     }
 }
 
-/// A kernel that finds more than this share of its weight is not cut off by a void
-/// or the border.
-const COMPLETE: f64 = 1.0 - 1e-9;
+/// A kernel that finds more than this share of its weight is not cut off by a void: what
+/// is missing is rounding.
+const COMPLETE: f64 = 1.0 - 2e-14;
 /// Smallest determinant of the moments, relative to those of a complete kernel, for
 /// which a plane is fitted.
 const LEAST_SPREAD: f64 = 1e-3;
