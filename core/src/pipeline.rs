@@ -302,16 +302,21 @@ fn prepare<'a, T: Height>(
     let mut removed = Vec::new();
     // The samples of the noise estimate, while their list grows.
     memory::ensure(24 * grid.z().len().min(MAX_SAMPLES))?;
+    let before = if options.despike { noise(grid) } else { 0.0 };
     if options.despike {
         memory::ensure(size_of_val(grid.z()))?;
-        for (pixel, z) in spikes(grid, noise(grid), progress)? {
+        for (pixel, z) in spikes(grid, before, progress)? {
             data.to_mut()[pixel] = z;
             removed.push(pixel);
         }
     }
     let is_needed =
         options.stop_at_noise || options.scales == Scales::Auto || options.fit || options.flips > 0;
-    let noise = if is_needed { noise(&Grid::new(&data, grid.rows(), grid.cols())?) } else { 0.0 };
+    let noise = match is_needed {
+        false => 0.0,
+        true if options.despike && removed.is_empty() => before,
+        true => noise(&Grid::new(&data, grid.rows(), grid.cols())?),
+    };
     Ok(Images { data, spikes: removed, noise })
 }
 
