@@ -10,13 +10,14 @@ use dem2tin_core::grid::{Grid, Height};
 use dem2tin_core::image::View;
 use dem2tin_core::lanes::{Kernel, Lanes, Vectors};
 use dem2tin_core::list::List;
-use dem2tin_core::patch::{Patch, Window};
+use dem2tin_core::patch::Patch;
 use dem2tin_core::pipeline::triangulate;
 use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::progress::Progress;
 use dem2tin_core::queue::{Candidate, Order, Pick, Queue};
 use dem2tin_core::rule::quantile_index;
 use dem2tin_core::select::Selector;
+use dem2tin_core::window::Window;
 use std::hint::black_box;
 use std::time::Duration;
 

@@ -214,8 +214,8 @@ impl Kernel for WorstUpTo<'_> {
 mod tests {
     use super::*;
     use crate::grid::Grid;
-    use crate::patch::Window;
     use crate::predicate::orient2d;
+    use crate::window::Window;
     use proptest::prelude::*;
 
     struct Worst<'a>(&'a Facet, &'a Patch);

@@ -4,13 +4,13 @@ use crate::error::Result;
 use crate::grid::{Grid, Height};
 use crate::lanes::Vectors;
 use crate::memory;
-use crate::patch::Window;
 use crate::predicate::Point;
 use crate::progress::Progress;
 use crate::scale::{kernel, reach};
 use crate::smoother::Smoother;
 use crate::threads::spread;
 use crate::tiling::Tiling;
+use crate::window::Window;
 use std::ops::Range;
 
 /// Smoothed time and again an image takes a tenth more time for a refinement than held: up to this size

@@ -64,3 +64,4 @@ pub mod tiling;
 mod top;
 pub mod triangle;
 pub mod walk;
+pub mod window;

@@ -7,15 +7,7 @@ use crate::image::View;
 use crate::lanes::LANES;
 use crate::memory;
 use crate::predicate::{pixels_of, Point, SUB_BITS};
-
-/// A rectangle of pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Window {
-    pub col: usize,
-    pub row: usize,
-    pub cols: usize,
-    pub rows: usize,
-}
+use crate::window::{Window, WIDTH};
 
 /// How heights become single precision.
 #[derive(Clone, Copy, Debug)]
@@ -38,25 +30,10 @@ pub struct Patch {
     frame: Frame,
 }
 
-impl Window {
-    /// The pixels of this one between and beside the points, and others that make it no slower.
-    pub fn around(self, points: &[Point]) -> Self {
-        let reach = |first: usize, count: usize, of: fn(&Point) -> i32| {
-            let (low, high) =
-                points.iter().map(of).fold((i32::MAX, i32::MIN), |all, v| (all.0.min(v), all.1.max(v)));
-            let first_seen = first.max((low >> SUB_BITS).max(0) as usize);
-            let end = (first + count).min((high >> SUB_BITS).max(0) as usize + 2);
-            (first_seen, end.saturating_sub(first_seen))
-        };
-        let ((col, cols), (row, rows)) =
-            (reach(self.col, self.cols, |p| p.x), reach(self.row, self.rows, |p| p.y));
-        Window { col, row, cols: cols.next_multiple_of(WIDTH).min(self.col + self.cols - col), rows }
-    }
-
-    fn rows<'a, T: Height>(self, view: &'a View<T>) -> impl Iterator<Item = &'a [T]> {
-        let Window { col, row, cols, rows } = self;
-        (row..row + rows).map(move |row| view.row(row, col..col + cols))
-    }
+/// The heights of a window, row by row.
+fn rows<'a, T: Height>(window: Window, view: &'a View<T>) -> impl Iterator<Item = &'a [T]> {
+    let Window { col, row, cols, rows } = window;
+    (row..row + rows).map(move |row| view.row(row, col..col + cols))
 }
 
 /// A copy of some polygons' surroundings pays up to so many times their own pixels,
@@ -68,9 +45,6 @@ const MOST: usize = 1 << 22;
 
 /// The largest |height| in single precision so that sums of squares do not overflow and those that count do not underflow.
 const SAFE: std::ops::Range<f32> = 1e-15..1e16;
-
-/// Heights that are shifted together.
-const WIDTH: usize = 16;
 
 /// Takes the reference off the heights; returns the largest |height| left, and whether nothing
 /// was rounded, of which nothing is said unless `CHECK`.
@@ -118,7 +92,7 @@ impl Patch {
     /// high all of it lies; if that rounds, as they are or over a height that takes nothing from
     /// single precision. Errors: `out-of-memory`, `too-large`.
     pub fn new<T: Height>(view: &View<T>, window: Window) -> Result<Self> {
-        let (low, high) = window.rows(view).fold((f64::INFINITY, f64::NEG_INFINITY), |all, row| {
+        let (low, high) = rows(window, view).fold((f64::INFINITY, f64::NEG_INFINITY), |all, row| {
             let (least, most) = extent(row);
             (all.0.min(least), all.1.max(most))
         });
@@ -200,7 +174,7 @@ impl Patch {
             memory::ensure(size_of::<f32>() * count)?;
             self.z.resize(count, f32::NAN);
         }
-        for (into, heights) in self.z.chunks_mut(stride).zip(part.rows(view)) {
+        for (into, heights) in self.z.chunks_mut(stride).zip(rows(part, view)) {
             shift::<T, false>(heights, frame.reference, &mut into[part.col - window.col..]);
         }
         (self.base, self.stride) = ((part.row - window.row) * stride, stride);
@@ -219,7 +193,7 @@ impl Patch {
     /// Copies the heights over the reference; `is_exact` is looked into if `CHECK`.
     fn fill<T: Height, const CHECK: bool>(&mut self, view: &View<T>) {
         let (mut largest, mut is_exact) = (0.0f32, true);
-        for (into, heights) in self.z.chunks_mut(self.stride).zip(self.window.rows(view)) {
+        for (into, heights) in self.z.chunks_mut(self.stride).zip(rows(self.window, view)) {
             let shift = if CHECK && is_exact { shift::<T, true> } else { shift::<T, false> };
             let row = shift(heights, self.frame.reference, into);
             (largest, is_exact) = (largest.max(row.0), is_exact & row.1);

@@ -7,7 +7,7 @@ use crate::image::{Image, View};
 use crate::lanes::Vectors;
 use crate::memory;
 use crate::mesh::{triangle_of, Class};
-use crate::patch::{Patch, Window};
+use crate::patch::Patch;
 use crate::predicate::{pixels_of, Point};
 use crate::progress::Progress;
 use crate::queue::{Candidate, Order, Pick, Queue};
@@ -15,6 +15,7 @@ use crate::rank::{is_large, Ranked, Ranker};
 use crate::rule::Rule;
 use crate::surface::Surface;
 use crate::triangle::{Location, Triangle};
+use crate::window::Window;
 
 /// Why refinement ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

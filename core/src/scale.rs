@@ -5,10 +5,10 @@ use crate::grid::{Grid, Height};
 use crate::lanes::Vectors;
 use crate::memory;
 use crate::noise::{stride, MAX_SAMPLES};
-use crate::patch::Window;
 use crate::progress::Progress;
 use crate::smoother::Smoother;
 use crate::threads::spread;
+use crate::window::Window;
 use std::borrow::Cow;
 
 /// Gaussian kernels are cut off at this many standard deviations.

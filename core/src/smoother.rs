@@ -5,8 +5,8 @@ use crate::error::Result;
 use crate::grid::{Grid, Height};
 use crate::lanes::{Kernel, Lanes, Vectors};
 use crate::lines::Lines;
-use crate::patch::Window;
 use crate::progress::Progress;
+use crate::window::Window;
 use std::ops::Range;
 
 /// Columns smoothed together: few enough for all their sums to stay in the fastest memory,

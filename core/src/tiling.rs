@@ -1,8 +1,8 @@
 //! The fixed tiles that a raster is refined in: parts small enough for the cache, which do
 //! not know of each other but for the seams between them.
 
-use crate::patch::Window;
 use crate::predicate::{Point, SUB_BITS};
+use crate::window::Window;
 
 /// The grid of tiles. Neighbours share the row or column of pixels between them.
 #[derive(Clone, Debug)]
