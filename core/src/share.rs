@@ -118,9 +118,11 @@ impl Share<1> {
         let ([aa, bb, cc], [ab, bc, ac]) = (self.corners, self.edges);
         let images = [aa * a + ab * b + ac * c, ab * a + bb * b + bc * c, ac * a + bc * b + cc * c];
         for ((side, image), change) in self.sides.iter_mut().zip(images).zip([a, b, c]) {
-            self.squares[0] = (self.squares[0] + change * (image - 2.0 * side[0])).max(0.0);
+            self.squares[0] += change * (image - 2.0 * side[0]);
             side[0] -= image;
         }
+        // Only all three together leave a sum of squares.
+        self.squares[0] = self.squares[0].max(0.0);
     }
 
     /// The same of the heights over the surface, in some unit; `patch`: the heights around it, if there are some.
@@ -310,6 +312,21 @@ mod tests {
     fn numbers(share: &Share<1>) -> [f64; 10] {
         let Share { corners: [a, b, c], edges: [ab, bc, ac], sides: [[d], [e], [f]], squares: [g] } = *share;
         [a, b, c, ab, bc, ac, d, e, f, g].map(f64::from)
+    }
+
+    #[test]
+    fn squares_may_fall_below_zero_between_two_corners() {
+        let p = [(0, 0), (20, 0), (0, 20)].map(|(col, row)| Point::pixel(col, row));
+        let grid_z = vec![0.0f32; SIDE * SIDE];
+        let grid = Grid::new(&grid_z, SIDE, SIDE).unwrap();
+        let over = |z: [f64; 3]| {
+            Share::by_rows(p, [true; 3], &Residual { target: &grid, plane: Plane::through(p, z), scale: 1.0 })
+        };
+        // The first corner alone would take off more than there is, the others add it again.
+        let mut share = over([1.0; 3]);
+        share.follow([-1.0, 6.0, 6.0]);
+        let (found, expected) = (share.squares[0], over([0.0, 7.0, 7.0]).squares[0]);
+        assert!((found - expected).abs() <= 1e-4 * expected, "{found} {expected}");
     }
 
     proptest! {
