@@ -119,6 +119,8 @@ def process(tmp_path):
     def process(*arguments, with_core=True):
         environment = {
             **{name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
+            # QGIS takes its Python's libraries from beside the first python3 there is.
+            "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
             "QGIS_PLUGINPATH": str(plugins),
             "HOME": str(tmp_path),
             "QGIS_CUSTOM_CONFIG_PATH": str(tmp_path / "profile"),
