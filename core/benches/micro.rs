@@ -16,6 +16,7 @@ use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::progress::Progress;
 use dem2tin_core::queue::{Candidate, Order, Pick, Queue};
 use dem2tin_core::rule::quantile_index;
+use dem2tin_core::scanned::Scan;
 use dem2tin_core::select::Selector;
 use dem2tin_core::window::Window;
 use std::hint::black_box;

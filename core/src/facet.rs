@@ -5,11 +5,11 @@
 
 use crate::grid::Height;
 use crate::image::View;
-use crate::lanes::{Kernel, Lanes, Vectors, LANES};
-use crate::list::List;
+use crate::lanes::{Kernel, Lanes, Part, Vectors, LANES};
 use crate::patch::Patch;
 use crate::predicate::{pixels_of, Point, SUB_BITS};
 use crate::scan::{Plane, Spans};
+use crate::scanned::Scan;
 use crate::walk::{Visitor, Walk};
 
 /// A triangle over a patch.
@@ -31,15 +31,39 @@ pub struct Found {
     pub place: usize,
 }
 
-/// What single precision may be off, as a part of the heights involved (sixteen times
-/// half a unit in the last place, of less than eight roundings).
-const ROUNDING: f64 = 1.0 / (1 << 20) as f64;
+impl Scan for Facet {
+    #[inline(always)]
+    fn run<L: Lanes, V: Visitor<L>>(&self, patch: &Patch, visitor: V) -> V {
+        self.walk.run(patch, visitor)
+    }
 
-/// Heights up to which nothing overflows.
-const RANGE: f64 = 1e37;
+    #[inline(always)]
+    fn room(&self) -> usize {
+        self.walk.room()
+    }
 
-/// And where they are tiny.
-const TINY: f64 = 1e-36;
+    #[inline(always)]
+    fn highest(&self) -> f64 {
+        self.largest
+    }
+
+    #[inline(always)]
+    fn is_exact(&self, _: &Patch) -> bool {
+        let Plane { per_col, per_row, z0, .. } = self.walk.plane;
+        per_col == 0.0 && per_row == 0.0 && f64::from(z0 as f32) == z0
+    }
+
+    #[inline(always)]
+    fn thinning(&self) -> usize {
+        self.walk.thinning()
+    }
+
+    #[inline(always)]
+    fn first(&self, patch: &Patch) -> usize {
+        let [col, row] = [self.walk.p[0].x, self.walk.p[0].y].map(|v| (v >> SUB_BITS) as usize);
+        row * patch.stride() + col
+    }
+}
 
 impl Facet {
     #[inline(always)]
@@ -51,32 +75,6 @@ impl Facet {
         let beside = LANES as f64 * plane.per_col.abs();
         let largest = z[0].abs().max(z[1].abs()).max(z[2].abs()) + beside;
         Facet { walk: Walk::new(p, plane), largest, pixels: pixels_of(p) }
-    }
-
-    /// How far an error in single precision can be off.
-    #[inline(always)]
-    pub fn rounding(&self, error: f32) -> f64 {
-        ROUNDING * (self.largest + f64::from(error)) + TINY
-    }
-
-    /// Whether single precision overflows nowhere on the way.
-    #[inline(always)]
-    pub fn is_in_range(&self, patch: &Patch) -> bool {
-        self.largest + patch.largest() < RANGE
-    }
-
-    /// Whether single precision holds its plane as it is: one that is level and not too finely
-    /// so.
-    #[inline(always)]
-    pub fn is_exact(&self) -> bool {
-        let Plane { per_col, per_row, z0, .. } = self.walk.plane;
-        per_col == 0.0 && per_row == 0.0 && f64::from(z0 as f32) == z0
-    }
-
-    /// Pixels that each candidate stands for: 1 but for a sample.
-    #[inline(always)]
-    pub fn thinning(&self) -> usize {
-        self.walk.thinning()
     }
 
     /// About so many of its pixels, evenly spread, if it has at least twice as many.
@@ -93,13 +91,6 @@ impl Facet {
         (patch.height(place, view) - patch.reference() - plane).abs()
     }
 
-    /// The place of its first corner, or of a pixel beside it.
-    #[inline(always)]
-    pub fn first(&self, patch: &Patch) -> usize {
-        let [col, row] = [self.walk.p[0].x, self.walk.p[0].y].map(|v| (v >> SUB_BITS) as usize);
-        row * patch.stride() + col
-    }
-
     /// The errors of all candidates in double precision and their places, in raster
     /// order.
     pub fn exact<T: Height>(&self, patch: &Patch, view: &View<T>) -> Vec<(f64, usize)> {
@@ -112,41 +103,37 @@ impl Facet {
         errors
     }
 
-    /// The largest error, -1 if there is no candidate.
-    #[inline(always)]
-    pub fn largest<L: Lanes>(&self, patch: &Patch) -> f32 {
-        L::largest(self.walk.run(patch, Largest::<L>(L::splat(-1.0))).0)
-    }
-
     /// A pixel with the largest error up to `limit`, always the same one.
     #[inline]
     pub fn worst_up_to(&self, limit: f32, patch: &Patch, vectors: Vectors) -> Found {
         vectors.run(WorstUpTo { facet: self, patch, limit })
     }
-
-    /// Collects all errors and returns the largest, -1 if there is no candidate.
-    #[inline(always)]
-    pub fn collect<L: Lanes>(&self, patch: &Patch, errors: &mut List) -> f32 {
-        let values = errors.start(self.walk.room());
-        let collector = Collector::<L> { largest: L::splat(-1.0), values, count: 0 };
-        let Collector { largest, count, .. } = self.walk.run(patch, collector);
-        errors.end(count);
-        L::largest(largest)
-    }
 }
 
-/// Lane by lane the largest error so far.
-struct Largest<L: Lanes>(L::F);
+/// The first row with an error that is sought.
+struct Sought<L: Lanes> {
+    error: L::F,
+    /// Where the errors lie that have been seen last, and how far on the next do.
+    place: usize,
+    further: usize,
+    is_there: L::F,
+}
 
-impl<L: Lanes> Visitor<L> for Largest<L> {
+impl<L: Lanes> Visitor<L> for Sought<L> {
+    #[inline(always)]
+    fn move_to(&mut self, place: usize, further: usize) {
+        (self.place, self.further) = (place.wrapping_sub(further), further);
+    }
+
     #[inline(always)]
     fn see(&mut self, error: L::F) -> bool {
-        self.0 = L::max(error, self.0);
-        false
+        self.place = self.place.wrapping_add(self.further);
+        self.is_there = L::equal(error, self.error);
+        L::is_any(self.is_there)
     }
 }
 
-/// The same up to a limit and with its places, until that is found.
+/// Lane by lane the largest error up to a limit, with its places.
 struct Limited<L: Lanes> {
     limit: L::F,
     error: L::F,
@@ -170,22 +157,6 @@ impl<L: Lanes> Visitor<L> for Limited<L> {
         self.error = L::choose(is_larger, error, self.error);
         self.place = L::choose_i(is_larger, self.next, self.place);
         self.next = L::add_i(self.next, self.further);
-        L::is_any(L::equal(error, self.limit))
-    }
-}
-
-struct Collector<'a, L: Lanes> {
-    largest: L::F,
-    /// With room for all.
-    values: &'a mut [f32],
-    count: usize,
-}
-
-impl<L: Lanes> Visitor<L> for Collector<'_, L> {
-    #[inline(always)]
-    fn see(&mut self, error: L::F) -> bool {
-        self.largest = L::max(error, self.largest);
-        self.count += L::compress(L::greater(error, L::splat(-0.5)), error, self.values, self.count);
         false
     }
 }
@@ -201,6 +172,22 @@ impl Kernel for WorstUpTo<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> Found {
+        let (error, none) = (L::splat(self.limit), L::splat(-1.0));
+        let sought = Sought::<L> { error, place: 0, further: 0, is_there: L::greater(none, none) };
+        let Sought { place, is_there, .. } = self.facet.walk.run(self.patch, sought);
+        if !L::is_any(is_there) {
+            return L::apart(self);
+        }
+        let (_, place) = L::first_largest(L::choose(is_there, error, none), L::ramp(place as i32, 1));
+        Found { error: self.limit, place: place as usize }
+    }
+}
+
+impl<L: Lanes> Part<L> for WorstUpTo<'_> {
+    type Output = Found;
+
+    #[inline(always)]
+    fn run(self) -> Found {
         let (none, first) = (L::splat(-1.0), L::splat_i(0));
         let limit = L::splat(self.limit);
         let limited = Limited::<L> { limit, error: none, place: first, next: first, further: first };
@@ -214,6 +201,7 @@ impl Kernel for WorstUpTo<'_> {
 mod tests {
     use super::*;
     use crate::grid::Grid;
+    use crate::list::List;
     use crate::predicate::orient2d;
     use crate::window::Window;
     use proptest::prelude::*;

@@ -12,10 +12,11 @@ pub use plain::Plain;
 /// How many numbers an operation works on.
 pub const LANES: usize = 8;
 
-/// Operations on vectors of `f32` (`F`) and `i32` (`I`).
+/// Operations on vectors of `f32` (`F`), `i32` (`I`) and `f64` (`D`). Integers wrap around.
 pub trait Lanes: Copy {
     type F: Copy;
     type I: Copy;
+    type D: Copy;
 
     fn splat(value: f32) -> Self::F;
     fn load(from: &[f32; LANES]) -> Self::F;
@@ -36,7 +37,26 @@ pub trait Lanes: Copy {
     /// start, start + step, start + 2 step, ...
     fn ramp(start: i32, step: i32) -> Self::I;
     fn add_i(a: Self::I, b: Self::I) -> Self::I;
+    fn sub_i(a: Self::I, b: Self::I) -> Self::I;
+    fn mul_i(a: Self::I, b: Self::I) -> Self::I;
+    fn min_i(a: Self::I, b: Self::I) -> Self::I;
+    fn max_i(a: Self::I, b: Self::I) -> Self::I;
     fn or_i(a: Self::I, b: Self::I) -> Self::I;
+    fn shift_up<const BITS: i32>(a: Self::I) -> Self::I;
+    fn shift_down<const BITS: i32>(a: Self::I) -> Self::I;
+    fn load_i(from: &[i32; LANES]) -> Self::I;
+    fn store_i(values: Self::I, into: &mut [i32; LANES]);
+    fn splat_d(value: f64) -> Self::D;
+    fn load_d(from: &[f64; LANES]) -> Self::D;
+    fn store_d(values: Self::D, into: &mut [f64; LANES]);
+    fn to_d(a: Self::I) -> Self::D;
+    fn add_d(a: Self::D, b: Self::D) -> Self::D;
+    fn sub_d(a: Self::D, b: Self::D) -> Self::D;
+    fn mul_d(a: Self::D, b: Self::D) -> Self::D;
+    fn div_d(a: Self::D, b: Self::D) -> Self::D;
+    fn abs_d(a: Self::D) -> Self::D;
+    /// The larger of two, `b` where either is no number.
+    fn max_d(a: Self::D, b: Self::D) -> Self::D;
     fn to_f(a: Self::I) -> Self::F;
     /// `yes` where `sign` is negative, `no` elsewhere.
     fn where_negative(sign: Self::I, yes: Self::F, no: Self::F) -> Self::F;

@@ -75,6 +75,17 @@ fn shift<T: Height, const CHECK: bool>(heights: &[T], reference: f64, into: &mut
     (largest.into_iter().fold(0.0, f32::max), !rounded.contains(&true))
 }
 
+/// The first eight of every so many heights, as long as there are so many. (By `chunks_exact` it would
+/// begin with a division.)
+#[inline(always)]
+fn heads(mut heights: &[f32], apart: usize) -> impl Iterator<Item = &[f32; LANES]> {
+    std::iter::from_fn(move || {
+        let (row, rest) = heights.split_at_checked(apart)?;
+        heights = rest;
+        row.first_chunk()
+    })
+}
+
 /// Places from one row to the next. Errors: `too-large`.
 fn stride(Window { cols, rows, .. }: Window) -> Result<usize> {
     // An odd number of cache lines: rows do not compete for the same places of the cache.
@@ -246,7 +257,7 @@ impl Patch {
     pub fn rows(&self, place: usize, count: usize) -> impl Iterator<Item = &[f32; LANES]> {
         let start = place.wrapping_sub(self.base);
         let rows = self.z.get(start..start.wrapping_add(count * self.stride)).unwrap_or_default();
-        rows.chunks_exact(self.stride).filter_map(|row| row.first_chunk())
+        heads(rows, self.stride)
     }
 
     /// The same where each time there are so many places to the next.
@@ -261,14 +272,20 @@ impl Patch {
         let rows = |count: usize| self.z.get(start..start.wrapping_add(count * apart));
         // The last of a sample is left out where it is among the last rows of all.
         let rows = rows(count).or_else(|| rows(count.saturating_sub(1))).unwrap_or_default();
-        rows.chunks_exact(apart).filter_map(|row| row.first_chunk())
+        heads(rows, apart)
     }
 
     /// A lattice point relative to the first pixel.
     #[inline(always)]
     pub fn local(&self, p: Point) -> Point {
-        let first = Point::pixel(self.window.col, self.window.row);
+        let first = self.first();
         Point { x: p.x - first.x, y: p.y - first.y }
+    }
+
+    /// The first pixel.
+    #[inline(always)]
+    pub fn first(&self) -> Point {
+        Point::pixel(self.window.col, self.window.row)
     }
 
     /// (column, row) of a place relative to the first pixel of the window.

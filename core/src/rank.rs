@@ -1,14 +1,15 @@
 //! Where a triangle stands against the rule: its priority, and how its pixel is to be found.
 
 use crate::facet::Facet;
+use crate::facets::Facets;
 use crate::grid::Height;
 use crate::image::View;
-use crate::lanes::{Kernel, Lanes, Part, Vectors};
+use crate::lanes::{Kernel, Lanes, Part, Vectors, LANES};
 use crate::list::List;
 use crate::patch::Patch;
-use crate::predicate::Point;
 use crate::queue::Pick;
 use crate::rule::{quantile_index, Rule};
+use crate::scanned::Scan;
 use crate::select::Selector;
 
 /// An error found in single precision says which pixel is the worst if it is this many
@@ -70,23 +71,29 @@ impl Ranker {
         }
     }
 
-    /// Where the triangle with corners `p` and heights `z` stands; `None` if it is within the tolerance.
-    /// What a sample does not show to be beyond it is scanned in full. And the work done in pixels.
+    /// Where the triangles stand; `None` if one is within the tolerance. What a sample does not show to be beyond it
+    /// is scanned in full. And the work done in pixels.
     #[inline]
     pub fn rank<T: Height>(
         &mut self,
         view: &View<T>,
         patch: &Patch,
         rule: &Rule,
-        (p, z): ([Point; 3], [f64; 3]),
-    ) -> (Option<Ranked>, usize) {
-        let (standing, work) = self.vectors.run(Look { ranker: self, patch, rule, p, z });
-        let ranked = match standing {
-            Standing::Within => None,
-            Standing::Beyond(ranked) => Some(ranked),
-            Standing::Unclear => exactly(&Facet::new(patch, p, z), patch, view, rule),
-        };
-        (ranked, work)
+        facets: &mut Facets,
+        mut each: impl FnMut(usize, Ranked),
+    ) -> usize {
+        let (standings, work) = self.vectors.run(Look { ranker: self, patch, rule, facets });
+        for (i, standing) in standings.into_iter().enumerate().take(facets.count()) {
+            let ranked = match standing {
+                Standing::Within => None,
+                Standing::Beyond(ranked) => Some(ranked),
+                Standing::Unclear => exactly(&facets.facet(patch, i), patch, view, rule),
+            };
+            if let Some(ranked) = ranked {
+                each(i, ranked);
+            }
+        }
+        work
     }
 
     /// The pixel where the scan found this error.
@@ -98,7 +105,7 @@ impl Ranker {
 
     /// Garland and Heckbert's rule: the worst pixel, nothing else.
     #[inline(always)]
-    fn rank_by_worst<L: Lanes>(patch: &Patch, rule: &Rule, facet: &Facet) -> Standing {
+    fn rank_by_worst<L: Lanes>(patch: &Patch, rule: &Rule, facet: &impl Scan) -> Standing {
         let worst = facet.largest::<L>(patch);
         match verdict(patch, facet, worst, rule.tolerance) {
             Verdict::Within => Standing::Within,
@@ -111,7 +118,7 @@ impl Ranker {
     }
 
     #[inline(always)]
-    fn rank_by_quantiles<L: Lanes>(&mut self, patch: &Patch, rule: &Rule, facet: &Facet) -> Standing {
+    fn rank_by_quantiles<L: Lanes>(&mut self, patch: &Patch, rule: &Rule, facet: &impl Scan) -> Standing {
         let worst = facet.collect::<L>(patch, &mut self.errors);
         // The maximum bounds every quantile; what fits exactly needs no point.
         match verdict(patch, facet, worst, rule.tolerance) {
@@ -143,56 +150,75 @@ impl Ranker {
     }
 }
 
-/// Looks at one triangle.
+/// Looks at some triangles.
 struct Look<'a> {
     ranker: &'a mut Ranker,
     patch: &'a Patch,
     rule: &'a Rule,
-    p: [Point; 3],
-    z: [f64; 3],
+    facets: &'a mut Facets,
 }
 
 impl Kernel for Look<'_> {
-    type Output = (Standing, usize);
+    type Output = ([Standing; LANES], usize);
 
     #[inline(always)]
-    fn run<L: Lanes>(self) -> (Standing, usize) {
-        let Look { ranker, patch, rule, p, z } = self;
-        let facet = Facet::new(patch, p, z);
-        if let Some(sample) = ranker.sample(&facet) {
-            let standing = L::apart(Stand { ranker, patch, rule, facet: &sample });
-            if matches!(standing, Standing::Beyond(_)) {
-                return (standing, SAMPLE);
-            }
+    fn run<L: Lanes>(self) -> ([Standing; LANES], usize) {
+        let Look { ranker, patch, rule, facets } = self;
+        let mut standings = [const { Standing::Within }; LANES];
+        let is_max = rule.is_max();
+        facets.make_ready::<L>(patch);
+        let mut work = 0;
+        for (i, standing) in standings.iter_mut().enumerate().take(facets.count()) {
+            *standing = match facets.narrow(i) {
+                Some(facet) => {
+                    work += facet.room();
+                    if is_max {
+                        Ranker::rank_by_worst::<L>(patch, rule, &facet)
+                    } else {
+                        ranker.rank_by_quantiles::<L>(patch, rule, &facet)
+                    }
+                }
+                None => {
+                    let (standing, pixels) = L::apart(Large { ranker, patch, rule, facets, i });
+                    work += pixels;
+                    standing
+                }
+            };
         }
-        let standing = if rule.is_max() {
-            Ranker::rank_by_worst::<L>(patch, rule, &facet)
-        } else {
-            L::apart(Stand { ranker, patch, rule, facet: &facet })
-        };
-        (standing, facet.pixels)
+        (standings, work)
     }
 }
 
-/// Where a triangle or a sample of it stands.
-struct Stand<'a> {
+/// Looks at one that is wide or high.
+struct Large<'a> {
     ranker: &'a mut Ranker,
     patch: &'a Patch,
     rule: &'a Rule,
-    facet: &'a Facet,
+    facets: &'a Facets,
+    i: usize,
 }
 
-impl<L: Lanes> Part<L> for Stand<'_> {
-    type Output = Standing;
+impl<L: Lanes> Part<L> for Large<'_> {
+    type Output = (Standing, usize);
 
     #[inline(always)]
-    fn run(self) -> Standing {
-        let Stand { ranker, patch, rule, facet } = self;
-        if rule.is_max() {
-            Ranker::rank_by_worst::<L>(patch, rule, facet)
-        } else {
-            ranker.rank_by_quantiles::<L>(patch, rule, facet)
+    fn run(self) -> (Standing, usize) {
+        let Large { ranker, patch, rule, facets, i } = self;
+        let facet = facets.facet(patch, i);
+        let sample = ranker.sample(&facet).map(|sample| (sample, SAMPLE));
+        let (mut standing, mut work) = (Standing::Within, 0);
+        for (facet, pixels) in sample.into_iter().chain([(facet, facet.pixels)]) {
+            standing = if rule.is_max() {
+                Ranker::rank_by_worst::<L>(patch, rule, &facet)
+            } else {
+                ranker.rank_by_quantiles::<L>(patch, rule, &facet)
+            };
+            work += pixels;
+            if matches!(standing, Standing::Beyond(_)) {
+                break;
+            }
         }
+        (standing, work)
     }
 }
 
@@ -204,13 +230,15 @@ enum Verdict {
 }
 
 #[inline(always)]
-fn verdict(patch: &Patch, facet: &Facet, error: f32, tolerance: f64) -> Verdict {
+fn verdict(patch: &Patch, facet: &impl Scan, error: f32, tolerance: f64) -> Verdict {
     if !facet.is_in_range(patch) {
         return Verdict::Unclear;
     }
     let rounding = facet.rounding(error);
     let error = f64::from(error);
-    if error + rounding <= tolerance || error < 0.0 || (error == 0.0 && patch.is_exact() && facet.is_exact())
+    if error + rounding <= tolerance
+        || error < 0.0
+        || (error == 0.0 && patch.is_exact() && facet.is_exact(patch))
     {
         Verdict::Within
     } else if error > tolerance + rounding && error > CLEAR * rounding {

@@ -2,9 +2,10 @@
 
 use crate::error::Result;
 use crate::facet::Facet;
+use crate::facets::Facets;
 use crate::grid::Height;
 use crate::image::{Image, View};
-use crate::lanes::Vectors;
+use crate::lanes::{Vectors, LANES};
 use crate::memory;
 use crate::mesh::{triangle_of, Class};
 use crate::patch::Patch;
@@ -62,6 +63,9 @@ pub struct Refiner {
     ranker: Ranker,
     queue: Queue,
     around: Vec<u32>,
+    /// Triangles to be looked at together, with their numbers and versions.
+    facets: Facets,
+    looked_at: Vec<(u32, u32)>,
     scaffolding: usize,
 }
 
@@ -78,6 +82,8 @@ impl Refiner {
             ranker: Ranker::new(vectors),
             queue: Queue::new(Order::Exact),
             around: Vec::new(),
+            facets: Facets::default(),
+            looked_at: Vec::new(),
             scaffolding,
         }
     }
@@ -214,7 +220,7 @@ impl Refiner {
                 return Ok(Reached::Level);
             };
             if best.pick == Pick::RESCAN {
-                let work = self.enqueue(view, patch, rule, best.triangle);
+                let work = self.enqueue([best.triangle], view, patch, rule);
                 progress.poll(work, || 0.0)?;
                 continue;
             }
@@ -266,7 +272,7 @@ impl Refiner {
         let Some(best) = self.queue.pop(1, is_current) else { return Ok(0) };
         show(view, patch, &mesh.corners(best.triangle))?;
         if best.pick == Pick::RESCAN {
-            return Ok(self.enqueue(view, patch, rule, best.triangle));
+            return Ok(self.enqueue([best.triangle], view, patch, rule));
         }
         let (pixel, z, place) = self.candidate(view, patch, &best);
         self.insert((pixel, z, place));
@@ -337,7 +343,7 @@ impl Refiner {
     #[inline]
     fn enqueue_around<T: Height>(&mut self, view: &View<T>, patch: &Patch, rule: &Rule) -> usize {
         let around = std::mem::take(&mut self.around);
-        let work: usize = around.iter().map(|&t| self.enqueue(view, patch, rule, t)).sum();
+        let work = self.enqueue(around.iter().copied(), view, patch, rule);
         self.around = around;
         64 + work
     }
@@ -351,27 +357,48 @@ impl Refiner {
         rule: &Rule,
         progress: &mut Progress,
     ) -> Result<()> {
-        for (t, _) in (0..).zip(marked).filter(|(_, is_marked)| **is_marked) {
-            let work = self.enqueue(view, patch, rule, t);
+        let mut marked = (0..).zip(marked).filter(|(_, is_marked)| **is_marked).map(|(t, _)| t).peekable();
+        while marked.peek().is_some() {
+            let work = self.enqueue(marked.by_ref().take(LANES), view, patch, rule);
             progress.poll(work, || 0.0)?;
         }
         Ok(())
     }
 
-    /// Scans triangle `t` and queues its candidate unless it is within the
+    /// Scans triangles and queues their candidates unless they are within the
     /// tolerance. Returns the work done in pixels.
     #[inline]
-    fn enqueue<T: Height>(&mut self, view: &View<T>, patch: &Patch, rule: &Rule, t: u32) -> usize {
-        let triangle = self.surface.mesh.triangle(t);
-        if triangle.class() != Class::Data {
-            return 0;
+    fn enqueue<T: Height>(
+        &mut self,
+        triangles: impl IntoIterator<Item = u32>,
+        view: &View<T>,
+        patch: &Patch,
+        rule: &Rule,
+    ) -> usize {
+        let mut work = 0;
+        for t in triangles {
+            let triangle = self.surface.mesh.triangle(t);
+            if triangle.class() == Class::Data {
+                self.looked_at.push((t, triangle.version));
+                self.facets.push(self.surface.mesh.corners(t), self.surface.heights(t));
+                if self.looked_at.len() == LANES {
+                    work += self.look(view, patch, rule);
+                }
+            }
         }
-        let version = triangle.version;
-        let triangle = (self.surface.mesh.corners(t), self.surface.heights(t));
-        let (ranked, work) = self.ranker.rank(view, patch, rule, triangle);
-        if let Some(Ranked { priority, place, pick }) = ranked {
-            self.queue.push(Candidate { priority, pixel: place as u32, triangle: t, version, pick });
-        }
+        work + self.look(view, patch, rule)
+    }
+
+    /// Scans the triangles that are to be looked at.
+    #[inline]
+    fn look<T: Height>(&mut self, view: &View<T>, patch: &Patch, rule: &Rule) -> usize {
+        let Refiner { ranker, queue, facets, looked_at, .. } = self;
+        let work = ranker.rank(view, patch, rule, facets, |i, Ranked { priority, place, pick }| {
+            let (triangle, version) = looked_at[i];
+            queue.push(Candidate { priority, pixel: place as u32, triangle, version, pick });
+        });
+        facets.clear();
+        looked_at.clear();
         work
     }
 }

@@ -6,11 +6,11 @@ use crate::predicate::{Point, SUB_BITS, UNIT};
 use crate::scan::{rows_between, Plane, Side, Spans};
 
 /// In wider triangles it pays to find the rows that a strip of columns meets.
-const NARROW: i32 = 2 * LANES as i32;
+pub const NARROW: i32 = 2 * LANES as i32;
 
 /// With sides in pixels up to this the edge functions fit 32 bits, those of the pixels of a
 /// strip beside the triangle included.
-const MAX_SIDE: i32 = 110;
+pub const MAX_SIDE: i32 = 110;
 
 /// The same where the corners are pixels; larger triangles are walked by spans.
 const MAX_WHOLE_SIDE: i32 = 1 << 14;
@@ -117,7 +117,8 @@ impl Walk {
             let at = top as usize * patch.stride() + col as usize;
             visitor.move_to(at, patch.stride());
             let heights = patch.rows(at, (rows + 1) as usize);
-            if self.strip(heights, [col, top, 0], self.p, (SUB_BITS, 1), &mut visitor) {
+            let strip = self.strip::<L>([col, top, 0], self.p, (SUB_BITS, 1));
+            if strip.show(heights, &mut visitor) {
                 break;
             }
             col += LANES as i32;
@@ -155,50 +156,34 @@ impl Walk {
             let at = top as usize * patch.stride() + first as usize * every + (left + col) as usize;
             visitor.move_to(at, every);
             let heights = patch.rows_apart(at, count, every);
-            if self.strip(heights, [left + col, top, first], p, (bits, self.rows), visitor) {
+            let strip = self.strip::<L>([left + col, top, first], p, (bits, self.rows));
+            if strip.show(heights, visitor) {
                 return;
             }
             col += LANES as i32 * self.strips;
         }
     }
 
-    /// A strip of columns that fit one vector: inside is where no edge function is negative (Pineda
-    /// 1988). Its heights lie in `every` so many rows from `top` on, beginning with the `first` of those.
-    /// `p` are the corners with so many bits below the pixel.
+    /// The strip from column `left` on. Its rows lie `every` so many from `top` on, beginning with the `first` of
+    /// those. `p` are the corners with so many bits below the pixel.
     #[inline(always)]
-    fn strip<'h, L: Lanes>(
+    fn strip<L: Lanes>(
         &self,
-        heights: impl Iterator<Item = &'h [f32; LANES]>,
         [left, top, first]: [i32; 3],
         p: [Point; 3],
         (bits, every): (u32, i32),
-        visitor: &mut impl Visitor<L>,
-    ) -> bool {
+    ) -> Strip<L> {
         let (x, y) = (left << bits, (top + first * every) << bits);
         let edge = |k: usize| {
             let (a, b) = (p[k], p[(k + 1) % 3]);
             let (dx, dy) = (b.x - a.x, b.y - a.y);
             (L::ramp(dx * (y - a.y) - dy * (x - a.x), -dy << bits), L::splat_i((dx << bits) * every))
         };
-        let [(mut e0, down0), (mut e1, down1), (mut e2, down2)] = [edge(0), edge(1), edge(2)];
         let plane = &self.plane;
-        let start = L::splat(plane.at(plane.on_row(top as usize), left as usize) as f32);
-        let across = L::mul(L::splat(plane.per_col as f32), L::to_f(L::ramp(0, 1)));
-        let start = L::add(start, across);
-        let (slope, step) = (L::splat(plane.per_row as f32), L::splat(every as f32));
+        let start = plane.at(plane.on_row(top as usize), left as usize) as f32;
         // From the first row of all, so that a sample finds the errors that the whole has.
-        let mut down = L::splat((first * every) as f32);
-        for heights in heights {
-            let level = L::add(start, L::mul(slope, down));
-            let error = L::abs(L::sub(L::load(heights), level));
-            let outside = L::or_i(L::or_i(e0, e1), e2);
-            if visitor.see(L::where_negative(outside, L::splat(-1.0), error)) {
-                return true;
-            }
-            (e0, e1, e2) = (L::add_i(e0, down0), L::add_i(e1, down1), L::add_i(e2, down2));
-            down = L::add(down, step);
-        }
-        false
+        let rows = [(first * every) as f32, every as f32];
+        Strip::new([edge(0), edge(1), edge(2)], start, [plane.per_col, plane.per_row].map(|v| v as f32), rows)
     }
 
     #[inline(always)]
@@ -222,6 +207,67 @@ impl Walk {
                 left -= LANES as i32;
             }
         }
+    }
+}
+
+/// A triangle in a strip of columns that fit one vector: inside is where no edge function is negative (Pineda
+/// 1988).
+pub struct Strip<L: Lanes> {
+    /// Each edge function on the first row, and what it gains to the next.
+    edges: [(L::I, L::I); 3],
+    /// Of the plane: its heights on a first row of all,
+    start: L::F,
+    /// what it gains from row to row,
+    slope: L::F,
+    /// and the rows down to the first one looked at and from each to the next.
+    down: L::F,
+    step: L::F,
+}
+
+impl<L: Lanes> Strip<L> {
+    /// `start`: the height in the first column; `slopes`: per column and per row.
+    #[inline(always)]
+    pub fn new(
+        edges: [(L::I, L::I); 3],
+        start: f32,
+        [per_col, per_row]: [f32; 2],
+        [down, step]: [f32; 2],
+    ) -> Self {
+        let across = L::mul(L::splat(per_col), L::to_f(L::ramp(0, 1)));
+        Strip {
+            edges,
+            start: L::add(L::splat(start), across),
+            slope: L::splat(per_row),
+            down: L::splat(down),
+            step: L::splat(step),
+        }
+    }
+
+    /// Shows the rows of heights to the visitor; returns whether that was all there is to look for.
+    #[inline(always)]
+    pub fn show<'h>(
+        self,
+        heights: impl Iterator<Item = &'h [f32; LANES]>,
+        visitor: &mut impl Visitor<L>,
+    ) -> bool {
+        let Strip {
+            edges: [(mut e0, down0), (mut e1, down1), (mut e2, down2)],
+            start,
+            slope,
+            mut down,
+            step,
+        } = self;
+        for heights in heights {
+            let level = L::add(start, L::mul(slope, down));
+            let error = L::abs(L::sub(L::load(heights), level));
+            let outside = L::or_i(L::or_i(e0, e1), e2);
+            if visitor.see(L::where_negative(outside, L::splat(-1.0), error)) {
+                return true;
+            }
+            (e0, e1, e2) = (L::add_i(e0, down0), L::add_i(e1, down1), L::add_i(e2, down2));
+            down = L::add(down, step);
+        }
+        false
     }
 }
 

@@ -39,6 +39,9 @@ static FRONT: [u64; 1 << LANES] = {
     table
 };
 
+/// The halves of a vector of doubles.
+type Halves = [__m256d; 2];
+
 #[inline(always)]
 unsafe fn to_front(mask: i32) -> __m256i {
     _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(FRONT[(mask & 255) as usize] as i64))
@@ -47,6 +50,7 @@ unsafe fn to_front(mask: i32) -> __m256i {
 impl Lanes for Avx2 {
     type F = __m256;
     type I = __m256i;
+    type D = Halves;
 
     #[inline(always)]
     fn splat(value: f32) -> Self::F {
@@ -114,6 +118,84 @@ impl Lanes for Avx2 {
     #[inline(always)]
     fn or_i(a: Self::I, b: Self::I) -> Self::I {
         unsafe { _mm256_or_si256(a, b) }
+    }
+    #[inline(always)]
+    fn sub_i(a: Self::I, b: Self::I) -> Self::I {
+        unsafe { _mm256_sub_epi32(a, b) }
+    }
+    #[inline(always)]
+    fn mul_i(a: Self::I, b: Self::I) -> Self::I {
+        unsafe { _mm256_mullo_epi32(a, b) }
+    }
+    #[inline(always)]
+    fn min_i(a: Self::I, b: Self::I) -> Self::I {
+        unsafe { _mm256_min_epi32(a, b) }
+    }
+    #[inline(always)]
+    fn max_i(a: Self::I, b: Self::I) -> Self::I {
+        unsafe { _mm256_max_epi32(a, b) }
+    }
+    #[inline(always)]
+    fn shift_up<const BITS: i32>(a: Self::I) -> Self::I {
+        unsafe { _mm256_slli_epi32::<BITS>(a) }
+    }
+    #[inline(always)]
+    fn shift_down<const BITS: i32>(a: Self::I) -> Self::I {
+        unsafe { _mm256_srai_epi32::<BITS>(a) }
+    }
+    #[inline(always)]
+    fn load_i(from: &[i32; LANES]) -> Self::I {
+        unsafe { _mm256_loadu_si256(from.as_ptr().cast()) }
+    }
+    #[inline(always)]
+    fn store_i(values: Self::I, into: &mut [i32; LANES]) {
+        unsafe { _mm256_storeu_si256(into.as_mut_ptr().cast(), values) }
+    }
+    #[inline(always)]
+    fn splat_d(value: f64) -> Self::D {
+        unsafe { [_mm256_set1_pd(value); 2] }
+    }
+    #[inline(always)]
+    fn load_d(from: &[f64; LANES]) -> Self::D {
+        unsafe { [0, LANES / 2].map(|i| _mm256_loadu_pd(from.as_ptr().add(i))) }
+    }
+    #[inline(always)]
+    fn store_d(values: Self::D, into: &mut [f64; LANES]) {
+        unsafe {
+            _mm256_storeu_pd(into.as_mut_ptr(), values[0]);
+            _mm256_storeu_pd(into.as_mut_ptr().add(LANES / 2), values[1]);
+        }
+    }
+    #[inline(always)]
+    fn to_d(a: Self::I) -> Self::D {
+        unsafe {
+            let (low, high) = (_mm256_castsi256_si128(a), _mm256_extracti128_si256::<1>(a));
+            [_mm256_cvtepi32_pd(low), _mm256_cvtepi32_pd(high)]
+        }
+    }
+    #[inline(always)]
+    fn add_d(a: Self::D, b: Self::D) -> Self::D {
+        unsafe { [_mm256_add_pd(a[0], b[0]), _mm256_add_pd(a[1], b[1])] }
+    }
+    #[inline(always)]
+    fn sub_d(a: Self::D, b: Self::D) -> Self::D {
+        unsafe { [_mm256_sub_pd(a[0], b[0]), _mm256_sub_pd(a[1], b[1])] }
+    }
+    #[inline(always)]
+    fn mul_d(a: Self::D, b: Self::D) -> Self::D {
+        unsafe { [_mm256_mul_pd(a[0], b[0]), _mm256_mul_pd(a[1], b[1])] }
+    }
+    #[inline(always)]
+    fn div_d(a: Self::D, b: Self::D) -> Self::D {
+        unsafe { [_mm256_div_pd(a[0], b[0]), _mm256_div_pd(a[1], b[1])] }
+    }
+    #[inline(always)]
+    fn abs_d(a: Self::D) -> Self::D {
+        unsafe { a.map(|a| _mm256_andnot_pd(_mm256_set1_pd(-0.0), a)) }
+    }
+    #[inline(always)]
+    fn max_d(a: Self::D, b: Self::D) -> Self::D {
+        unsafe { [_mm256_max_pd(a[0], b[0]), _mm256_max_pd(a[1], b[1])] }
     }
     #[inline(always)]
     fn to_f(a: Self::I) -> Self::F {

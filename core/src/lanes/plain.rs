@@ -26,6 +26,7 @@ fn is_set(mask: f32) -> bool {
 impl Lanes for Plain {
     type F = [f32; LANES];
     type I = [i32; LANES];
+    type D = [f64; LANES];
 
     #[inline(always)]
     fn splat(value: f32) -> Self::F {
@@ -86,6 +87,78 @@ impl Lanes for Plain {
     #[inline(always)]
     fn or_i(a: Self::I, b: Self::I) -> Self::I {
         both(a, b, |a, b| a | b)
+    }
+    #[inline(always)]
+    fn sub_i(a: Self::I, b: Self::I) -> Self::I {
+        both(a, b, i32::wrapping_sub)
+    }
+    #[inline(always)]
+    fn mul_i(a: Self::I, b: Self::I) -> Self::I {
+        both(a, b, i32::wrapping_mul)
+    }
+    #[inline(always)]
+    fn min_i(a: Self::I, b: Self::I) -> Self::I {
+        both(a, b, i32::min)
+    }
+    #[inline(always)]
+    fn max_i(a: Self::I, b: Self::I) -> Self::I {
+        both(a, b, i32::max)
+    }
+    #[inline(always)]
+    fn shift_up<const BITS: i32>(a: Self::I) -> Self::I {
+        each(a, |a| a << BITS)
+    }
+    #[inline(always)]
+    fn shift_down<const BITS: i32>(a: Self::I) -> Self::I {
+        each(a, |a| a >> BITS)
+    }
+    #[inline(always)]
+    fn load_i(from: &[i32; LANES]) -> Self::I {
+        *from
+    }
+    #[inline(always)]
+    fn store_i(values: Self::I, into: &mut [i32; LANES]) {
+        *into = values;
+    }
+    #[inline(always)]
+    fn splat_d(value: f64) -> Self::D {
+        [value; LANES]
+    }
+    #[inline(always)]
+    fn load_d(from: &[f64; LANES]) -> Self::D {
+        *from
+    }
+    #[inline(always)]
+    fn store_d(values: Self::D, into: &mut [f64; LANES]) {
+        *into = values;
+    }
+    #[inline(always)]
+    fn to_d(a: Self::I) -> Self::D {
+        each(a, f64::from)
+    }
+    #[inline(always)]
+    fn add_d(a: Self::D, b: Self::D) -> Self::D {
+        both(a, b, |a, b| a + b)
+    }
+    #[inline(always)]
+    fn sub_d(a: Self::D, b: Self::D) -> Self::D {
+        both(a, b, |a, b| a - b)
+    }
+    #[inline(always)]
+    fn mul_d(a: Self::D, b: Self::D) -> Self::D {
+        both(a, b, |a, b| a * b)
+    }
+    #[inline(always)]
+    fn div_d(a: Self::D, b: Self::D) -> Self::D {
+        both(a, b, |a, b| a / b)
+    }
+    #[inline(always)]
+    fn abs_d(a: Self::D) -> Self::D {
+        each(a, f64::abs)
+    }
+    #[inline(always)]
+    fn max_d(a: Self::D, b: Self::D) -> Self::D {
+        both(a, b, |a, b| if a > b { a } else { b })
     }
     #[inline(always)]
     fn to_f(a: Self::I) -> Self::F {
