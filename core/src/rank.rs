@@ -71,8 +71,8 @@ impl Ranker {
         }
     }
 
-    /// Where the triangles stand; `None` if one is within the tolerance. What a sample does not show to be beyond it
-    /// is scanned in full. And the work done in pixels.
+    /// Gives `each` of the triangles that are beyond the tolerance, by its number among them, to the caller, and returns
+    /// the work done in pixels. What a sample does not show to be beyond it is scanned in full.
     #[inline]
     pub fn rank<T: Height>(
         &mut self,
