@@ -9,7 +9,7 @@ use crate::lanes::{Kernel, Lanes, Part, Vectors, LANES};
 use crate::patch::Patch;
 use crate::predicate::{pixels_of, Point, SUB_BITS};
 use crate::scan::{Plane, Spans};
-use crate::scanned::Scan;
+use crate::scanned::{is_exact, Scan};
 use crate::walk::{Visitor, Walk};
 
 /// A triangle over a patch.
@@ -48,9 +48,9 @@ impl Scan for Facet {
     }
 
     #[inline(always)]
-    fn is_exact(&self, _: &Patch) -> bool {
+    fn is_exact(&self) -> bool {
         let Plane { per_col, per_row, z0, .. } = self.walk.plane;
-        per_col == 0.0 && per_row == 0.0 && f64::from(z0 as f32) == z0
+        is_exact(per_col, per_row, z0)
     }
 
     #[inline(always)]

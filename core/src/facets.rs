@@ -5,7 +5,7 @@ use crate::facet::Facet;
 use crate::lanes::{Lanes, LANES};
 use crate::patch::Patch;
 use crate::predicate::{Point, SUB_BITS, UNIT};
-use crate::scanned::Scan;
+use crate::scanned::{is_exact, Scan};
 use crate::walk::{Strip, Visitor, MAX_SIDE, NARROW};
 
 type Ints = [i32; LANES];
@@ -40,6 +40,8 @@ struct Ready {
     start: [Doubles; 2],
     per_col: Doubles,
     per_row: Doubles,
+    /// The height of the first corner over the reference of the patch.
+    z0: Doubles,
     largest: Doubles,
     /// The pixel of the first corner, or one beside it.
     first: [Ints; 2],
@@ -113,6 +115,7 @@ impl Facets {
         let per_row = L::mul_d(cross::<L>(dz2, x1, dz1, x2), scale);
         L::store_d(per_col, &mut ready.per_col);
         L::store_d(per_row, &mut ready.per_row);
+        L::store_d(z0, &mut ready.z0);
         let on_row = L::add_d(z0, L::mul_d(per_row, steps::<L>(y[0], top)));
         for (start, beyond) in ready.start.iter_mut().zip([0, LANES as i32]) {
             let col = L::add_i(left, L::splat_i(beyond));
@@ -202,8 +205,9 @@ impl Scan for Narrow<'_> {
     }
 
     #[inline(always)]
-    fn is_exact(&self, patch: &Patch) -> bool {
-        self.facets.facet(patch, self.i).is_exact(patch)
+    fn is_exact(&self) -> bool {
+        let Ready { per_col, per_row, z0, .. } = &self.facets.ready;
+        is_exact(per_col[self.i], per_row[self.i], z0[self.i])
     }
 
     #[inline(always)]
@@ -245,18 +249,12 @@ mod tests {
                 let largest = [facet.collect::<L>(patch, &mut a), narrow.collect::<L>(patch, &mut b)];
                 assert_eq!(largest, [facet.largest::<L>(patch), narrow.largest::<L>(patch)]);
                 Some([
-                    (
-                        a.values().to_vec(),
-                        largest[0],
-                        facet.highest(),
-                        facet.is_exact(patch),
-                        facet.first(patch),
-                    ),
+                    (a.values().to_vec(), largest[0], facet.highest(), facet.is_exact(), facet.first(patch)),
                     (
                         b.values().to_vec(),
                         largest[1],
                         narrow.highest(),
-                        narrow.is_exact(patch),
+                        narrow.is_exact(),
                         narrow.first(patch),
                     ),
                 ])

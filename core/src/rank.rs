@@ -236,9 +236,7 @@ fn verdict(patch: &Patch, facet: &impl Scan, error: f32, tolerance: f64) -> Verd
     }
     let rounding = facet.rounding(error);
     let error = f64::from(error);
-    if error + rounding <= tolerance
-        || error < 0.0
-        || (error == 0.0 && patch.is_exact() && facet.is_exact(patch))
+    if error + rounding <= tolerance || error < 0.0 || (error == 0.0 && patch.is_exact() && facet.is_exact())
     {
         Verdict::Within
     } else if error > tolerance + rounding && error > CLEAR * rounding {

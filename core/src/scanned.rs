@@ -26,9 +26,8 @@ pub trait Scan {
     /// A bound of all |heights| of the plane that are met on the way.
     fn highest(&self) -> f64;
 
-    /// Whether single precision holds its plane as it is: one that is level and not too finely
-    /// so.
-    fn is_exact(&self, patch: &Patch) -> bool;
+    /// Whether single precision holds its plane as it is.
+    fn is_exact(&self) -> bool;
 
     /// Pixels that each candidate stands for: 1 but for a sample.
     fn thinning(&self) -> usize;
@@ -63,6 +62,12 @@ pub trait Scan {
         errors.end(count);
         L::largest(largest)
     }
+}
+
+/// Whether single precision holds a plane of these slopes and this height: one that is level and not too finely so.
+#[inline(always)]
+pub fn is_exact(per_col: f64, per_row: f64, z0: f64) -> bool {
+    per_col == 0.0 && per_row == 0.0 && f64::from(z0 as f32) == z0
 }
 
 /// Lane by lane the largest error so far.
