@@ -350,9 +350,21 @@ mod tests {
             let strips = Share::by_strips(p, heights, owned, (&patch, unit), Vectors::best());
             prop_assert_eq!(strips, Share::by_strips(p, heights, owned, (&patch, unit), Vectors::Plain));
             prop_assert!(strips.is_some() || void.is_some());
+            // Single precision steps across a steep sliver with errors of the size of its slope, and what it takes
+            // off for the corners it has added before.
+            let Plane { per_col, per_row, .. } = residual.plane;
+            let slip = 2e-5 * (1.0 + (per_col.abs() + per_row.abs()) / unit);
+            let at_corner = |k: usize| p[k].as_pixel().map_or(0.0, |(col, row)| {
+                let over = f64::from(z[row as usize * SIDE + col as usize]) - heights[k];
+                if over.is_nan() { 0.0 } else { (over / unit).powi(2) }
+            });
+            let n = 3.0 + expected[..6].iter().sum::<f64>();
+            let squares = expected[9] + at_corner(0) + at_corner(1) + at_corner(2);
+            let slips = |k: usize| if k < 9 { n * slip } else { slip * (n * slip + 2.0 * (n * squares).sqrt()) };
             for share in [Some(rows), strips].into_iter().flatten() {
                 for (k, (found, expected)) in numbers(&share).into_iter().zip(expected).enumerate() {
-                    prop_assert!((found - expected).abs() <= 2e-5 * (1.0 + expected.abs()) + 2e-3 * f64::from(k >= 6), "{} {} {}", k, found, expected);
+                    let of_values = if k < 6 { 0.0 } else { slips(k) };
+                    prop_assert!((found - expected).abs() <= 2e-5 * (1.0 + expected.abs()) + of_values, "{} {} {}", k, found, expected);
                 }
             }
         }
