@@ -52,8 +52,12 @@ fn delaunay(points: &[Point], metric: Metric) -> Vec<[Point; 3]> {
     found
 }
 
+/// What single precision does not tell apart.
+const ROUNDING: f64 = 1e-5;
+
 /// Priority and candidate of every triangle of `points` that the rule does not leave
-/// alone: the step of Algorithm 1 as it stands in the paper.
+/// alone: the step of Algorithm 1 as it stands in the paper. Where errors are the same but for rounding
+/// there are several candidates.
 fn choices(z: &[f64], cols: usize, points: &[Point], rule: &Rule) -> Vec<(f64, Point)> {
     let height = |p: Point| p.as_pixel().map(|(col, row)| z[row * cols + col]).unwrap();
     let mut found = Vec::new();
@@ -69,7 +73,9 @@ fn choices(z: &[f64], cols: usize, points: &[Point], rule: &Rule) -> Vec<(f64, P
             let is_worst = rule.candidate == 1.0 && rule.priority < 1.0;
             let share = if is_worst { 0.3 * at(1.0).0 } else { 0.0 };
             let count = errors.len() as f64;
-            found.push(((at(rule.priority).0 + share) * count.powf(rule.weight), at(rule.candidate).1));
+            let priority = (at(rule.priority).0 + share) * count.powf(rule.weight);
+            let alike = errors.iter().filter(|e| (e.0 - at(rule.candidate).0).abs() <= ROUNDING);
+            found.extend(alike.map(|e| (priority, e.1)));
         }
     }
     found
@@ -101,7 +107,7 @@ proptest! {
                 let choices = choices(&z, cols, &points[..n], &rule);
                 let best = choices.iter().fold(0.0f64, |best, c| best.max(c.0));
                 // A pixel on an edge can give both triangles the same priority.
-                prop_assert!(choices.iter().any(|c| c.1 == points[n] && c.0 >= best * (1.0 - 1e-6)), "{:?}", rule);
+                prop_assert!(choices.iter().any(|c| c.1 == points[n] && c.0 >= best * (1.0 - ROUNDING)), "{:?}", rule);
             }
             prop_assert!(stop == Stop::Points || choices(&z, cols, points, &rule).is_empty());
             let triangles: BTreeSet<_> = delaunay(points, SKEW).into_iter().map(sorted).collect();
