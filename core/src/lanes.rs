@@ -77,6 +77,8 @@ pub trait Lanes: Copy {
     fn is_any(mask: Self::F) -> bool;
     /// One more in the lanes of the mask.
     fn tally(counts: Self::I, mask: Self::F) -> Self::I;
+    /// Has memory send what lies there to the cache.
+    fn prefetch<T>(there: &T);
     /// Runs what is rare in a function of its own, so that it takes no registers from what is not.
     fn apart<W: Part<Self>>(part: W) -> W::Output;
 }

@@ -9,13 +9,17 @@ use crate::progress::Progress;
 use crate::window::Window;
 use std::ops::Range;
 
-/// Columns smoothed together: few enough for all their sums to stay in the fastest memory,
+/// Columns smoothed together, those of a default tile: few enough for their sums to stay in the fastest memory,
 /// and many times the radius of the kernel, because the sums over rows reach beyond by that.
-const STRIP: usize = 256;
+const STRIP: usize = 400;
 const RADII_A_STRIP: usize = 16;
 
 /// Columns summed at a time, in registers.
 const BLOCK: usize = 16;
+
+/// Memory is asked for heights so many rows before they are read: rows lie in pages of their own, and the
+/// machine does not foresee that.
+const AHEAD: usize = 8;
 
 pub struct Smoother<'g, T> {
     grid: &'g Grid<'g, T>,
@@ -48,7 +52,7 @@ impl<T: Height> Kernel for Strip<'_, '_, T> {
 
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        self.smoother.strip(self.row, self.columns, self.into);
+        self.smoother.strip::<L>(self.row, self.columns, self.into);
     }
 }
 
@@ -86,18 +90,19 @@ impl<'g, T: Height> Smoother<'g, T> {
     }
 
     #[inline(always)]
-    fn strip(&mut self, row: usize, columns: Range<usize>, into: &mut [T]) {
+    fn strip<L: Lanes>(&mut self, row: usize, columns: Range<usize>, into: &mut [T]) {
         let Smoother { grid, kx, ky, lines, moments, mass, sum, cut_off, .. } = self;
         let (rx, ry) = (kx.len() / 2, ky.len() / 2);
         let seen = columns.start.saturating_sub(rx)..(columns.end + rx).min(grid.cols());
         // Where the moments of `seen` stand; those of what is beyond the border are 0.
         let first = seen.start + rx - columns.start;
         let within = first..first + seen.len();
+        let blocks = columns.len().next_multiple_of(BLOCK);
+        let used = blocks + kx.len() - 1 + BLOCK;
         for moment in moments.iter_mut() {
             moment[..within.start].fill(0.0);
-            moment[within.end..].fill(0.0);
+            moment[within.end..used].fill(0.0);
         }
-        let blocks = columns.len().next_multiple_of(BLOCK);
         let (mass, sum) = (&mut mass[..blocks], &mut sum[..blocks]);
         let [row_mass, row_sum, ..] = moments;
         let is_inside = row >= ry && row + ry < grid.rows();
@@ -105,8 +110,10 @@ impl<'g, T: Height> Smoother<'g, T> {
         let is_whole = is_inside && lines.hold(grid, row - ry..row + ry + 1, seen.clone());
         if is_inside {
             let whole_blocks = seen.len().next_multiple_of(BLOCK);
-            weigh(&ky[ry..], lines.around(row), &mut row_sum[first..first + whole_blocks]);
-            row_sum[within.end..].fill(0.0);
+            let ahead = grid.row((row + ry + AHEAD).min(grid.rows() - 1));
+            let ask = |i: usize| L::prefetch(&ahead[seen.start + i * BLOCK]);
+            weigh(&ky[ry..], lines.around(row), ask, &mut row_sum[first..first + whole_blocks]);
+            row_sum[within.end..used].fill(0.0);
         } else {
             sum_heights(grid, row, seen.clone(), ky, &mut row_sum[within.clone()]);
         }
@@ -255,24 +262,40 @@ fn sum_slopes<T: Height>(
 #[inline(always)]
 fn convolve(line: &[f64], kernel: &[f64], into: &mut [f64]) {
     let radius = kernel.len() / 2;
-    weigh(&kernel[radius..], |distance| [&line[radius - distance..], &line[radius + distance..]], into);
+    weigh(
+        &kernel[radius..],
+        |distance| [&line[radius - distance..], &line[radius + distance..]],
+        |_| {},
+        into,
+    );
 }
 
 /// Weighted sums of the pairs of lines at every distance, which have a weight in common, and
-/// of the one at distance 0.
+/// of the one at distance 0. `at_block` is told which block of columns is next.
 #[inline(always)]
-fn weigh<'l>(weights: &[f64], pair: impl Fn(usize) -> [&'l [f64]; 2], into: &mut [f64]) {
+fn weigh<'l>(
+    weights: &[f64],
+    pair: impl Fn(usize) -> [&'l [f64]; 2],
+    at_block: impl Fn(usize),
+    into: &mut [f64],
+) {
     // The radii of the default scales get code of their own, without an inner loop.
     match weights.len() {
-        3 => weigh_all(&weights[..3], pair, into),
-        4 => weigh_all(&weights[..4], pair, into),
-        _ => weigh_all(weights, pair, into),
+        3 => weigh_all(&weights[..3], pair, at_block, into),
+        4 => weigh_all(&weights[..4], pair, at_block, into),
+        _ => weigh_all(weights, pair, at_block, into),
     }
 }
 
 #[inline(always)]
-fn weigh_all<'l>(weights: &[f64], pair: impl Fn(usize) -> [&'l [f64]; 2], into: &mut [f64]) {
+fn weigh_all<'l>(
+    weights: &[f64],
+    pair: impl Fn(usize) -> [&'l [f64]; 2],
+    at_block: impl Fn(usize),
+    into: &mut [f64],
+) {
     for (i, into) in into.as_chunks_mut::<BLOCK>().0.iter_mut().enumerate() {
+        at_block(i);
         let block = |line: &[f64]| -> [f64; BLOCK] {
             let line = &line[i * BLOCK..(i + 1) * BLOCK];
             std::array::from_fn(|i| line[i])

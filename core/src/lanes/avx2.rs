@@ -270,6 +270,10 @@ impl Lanes for Avx2 {
         unsafe { _mm256_sub_epi32(counts, _mm256_castps_si256(mask)) }
     }
     #[inline(always)]
+    fn prefetch<T>(there: &T) {
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(there).cast()) }
+    }
+    #[inline(always)]
     fn apart<W: Part<Self>>(part: W) -> W::Output {
         unsafe { run_part(part) }
     }

@@ -214,6 +214,8 @@ impl Lanes for Plain {
     fn tally(counts: Self::I, mask: Self::F) -> Self::I {
         both(counts, mask, |count, m| count + i32::from(is_set(m)))
     }
+    #[inline(always)]
+    fn prefetch<T>(_there: &T) {}
     #[inline(never)]
     fn apart<W: Part<Self>>(part: W) -> W::Output {
         part.run()
