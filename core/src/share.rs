@@ -355,7 +355,7 @@ mod tests {
             let Plane { per_col, per_row, .. } = residual.plane;
             let slip = 2e-5 * (1.0 + (per_col.abs() + per_row.abs()) / unit);
             let at_corner = |k: usize| p[k].as_pixel().map_or(0.0, |(col, row)| {
-                let over = f64::from(z[row as usize * SIDE + col as usize]) - heights[k];
+                let over = f64::from(z[row * SIDE + col]) - heights[k];
                 if over.is_nan() { 0.0 } else { (over / unit).powi(2) }
             });
             let n = 3.0 + expected[..6].iter().sum::<f64>();
