@@ -160,8 +160,9 @@ struct Place<'w> {
 }
 
 impl Place<'_> {
-    /// Puts the part there, and returns its edges without a twin with their ends.
-    fn fill(self) -> Vec<([u32; 2], u32)> {
+    /// Puts the part there, and returns its edges without a twin with their ends, and what it has of seams within: one
+    /// that bends around a vertex can have a thin triangle on the wrong side.
+    fn fill(self) -> (Vec<([u32; 2], u32)>, Vec<u32>) {
         let Part { surface: Surface { mesh, z, is_fixed }, shared } = self.part;
         let mut numbers = vec![NONE; z.len()];
         shared.iter().for_each(|&(v, whole)| numbers[v as usize] = whole);
@@ -171,15 +172,19 @@ impl Place<'_> {
             self.points[i] = mesh.point(v as u32);
             (self.z[i], self.is_fixed[i]) = (z[v], is_fixed[v]);
         }
-        let mut open = Vec::new();
+        let (mut open, mut within) = (Vec::new(), Vec::new());
         let twin = |h: u32| if h == NONE { NONE } else { h + half_edge(self.first_triangle, 0) };
         for ((t, into), triangle) in (self.first_triangle..).zip(self.triangles).zip(mesh.triangles()) {
             *into = triangle.renumbered(|v| numbers[v as usize], twin);
-            for k in (0..3).filter(|&k| into.twin[k] == NONE) {
-                open.push(([into.v[k], into.v[(k + 1) % 3]], half_edge(t, k as u32)));
+            for k in 0..3 {
+                if into.twin[k] == NONE {
+                    open.push(([into.v[k], into.v[(k + 1) % 3]], half_edge(t, k as u32)));
+                } else if into.is_seam(k) {
+                    within.push(half_edge(t, k as u32));
+                }
             }
         }
-        open
+        (open, within)
     }
 }
 
@@ -213,8 +218,9 @@ pub fn merge(shared: Shared, parts: Vec<Part>, progress: &mut Progress) -> Resul
             is_fixed: is_fixed.0,
         });
     }
-    let open = spread(progress, places.into_iter(), |place, _| Ok(place.fill()))?;
-    let (mut waiting, mut seams) = (HashMap::new(), Vec::new());
+    let edges = spread(progress, places.into_iter(), |place, _| Ok(place.fill()))?;
+    let (open, within): (Vec<_>, Vec<_>) = edges.into_iter().unzip();
+    let (mut waiting, mut seams) = (HashMap::new(), within.concat());
     for ([a, b], h) in open.into_iter().flatten() {
         let Some(g) = waiting.remove(&[b, a]) else {
             waiting.insert([a, b], h);

@@ -231,6 +231,30 @@ fn a_tolerance_lowered_after_a_first_run_loses_no_triangle() {
     }
 }
 
+/// The centroid of a thin triangle beside a seam that bends around a vertex lies in the other tile.
+#[test]
+fn a_seam_with_a_triangle_on_the_wrong_side_is_released_too() {
+    let side = 40;
+    let line = vec![
+        [29.750695435206772, 38.05384222948127, f64::NAN],
+        [38.7288247925153, 1.4438315456757733, f64::NAN],
+    ];
+    let ring = vec![
+        [24.38290289902225, 15.630995087529158, f64::NAN],
+        [36.71783859307955, 12.37122970326361, f64::NAN],
+        [16.67186313912639, 18.783879877989108, f64::NAN],
+    ];
+    let flat = vec![(vec![ring], f64::NAN)];
+    let constraints = Constraints { lines: vec![line], flat, ..Constraints::default() };
+    for rule in [Rule { tolerance: 3.0, ..MAX }, AUTO] {
+        let options = Options { tile: 3, constraints: constraints.clone(), ..plain(rule, 700) };
+        let done = run(&hills(side, side, 0), side, side, &options).unwrap();
+        let mesh = &done.surface.mesh;
+        assert_sound(mesh, true);
+        assert!(mesh.half_edges().all(|h| !mesh.triangle(h >> 2).is_seam((h & 3) as usize)));
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
