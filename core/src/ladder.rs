@@ -2,9 +2,10 @@
 //!
 //! A stop by count has one level for the whole raster, not a density for each tile. What waits
 //! in the tiles says about how many points each will take down to a level; every rung goes to
-//! the level where they add up, and the next makes up for what the forecast was off. The last
-//! points go in one at a time, by the priorities of all tiles.
+//! the level where they add up, and the next makes up for what the forecast was off. Scouts go
+//! ahead on the way to tell that beforehand. The last points go in one at a time, by the priorities of all tiles.
 
+use crate::crew::{Aim, Crew, Party, Rung};
 use crate::error::Result;
 use crate::grid::Height;
 use crate::image::{Image, View};
@@ -12,21 +13,19 @@ use crate::outlook::{share_out, Outlook, Waiting};
 use crate::patch::Patch;
 use crate::predicate::Point;
 use crate::progress::Progress;
-use crate::refine::{Goal, Stop};
+use crate::refine::Stop;
 use crate::rule::Rule;
-use crate::seams::{SeamPoint, Seams};
+use crate::seams::Seams;
 use crate::surface::Surface;
 use crate::threads::spread;
 use crate::tiles::{cut, merge, Part, Queued, Shared, Tile};
 use crate::tiling::Tiling;
-use crate::window::Window;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
-use std::sync::{Mutex, PoisonError};
 
 /// Up to these shares of the points all tiles go down to one level; what is left then goes in one
 /// at a time.
-const NEARLY: [f64; 2] = [0.9, 0.99];
+const NEARLY: [f64; 2] = [0.75, 0.98];
 /// Where other scales follow, this share of a scale's points will do.
 const ROUGHLY: f64 = 0.8;
 
@@ -37,14 +36,24 @@ pub enum End {
     Rough,
 }
 
-/// With this share of the points in place samples stand for large triangles no longer.
-const CLOSE: f64 = 0.85;
+impl End {
+    /// How many points there are to be after the next rung for all, if one is worth it.
+    fn target(self, before: f64, most: f64) -> Option<f64> {
+        match self {
+            End::Level => {
+                NEARLY.map(|share| share * most).into_iter().find(|t| t - before > WORTH * (most - before))
+            }
+            End::Rough => Some(most),
+        }
+    }
+}
 
 /// A rung that would take less than this share of what is left does not pay.
 const WORTH: f64 = 0.5;
 
-/// How much a rung may multiply the points.
+/// How much a rung may multiply the points, of all tiles and where scouts go ahead.
 const GROWTH: f64 = 20.0;
+const GROWTH_AHEAD: f64 = 8.0;
 
 /// Before the last rung a tile that takes more than expected must leave something for
 /// errors that turn up elsewhere: all of them take at most this share of what is left.
@@ -53,34 +62,19 @@ const MOST_LEFT: f64 = 0.9;
 /// How many times the points it is expected to need a tile may take on a rung.
 const ROOM: f64 = 2.0;
 
-/// Where more than so many times the points are to come, one tile in a few tells the first level.
-const FAR: usize = 64;
-const SCOUTS: usize = 8;
+/// Scouts go this share of the way to a rung's target before all tiles do, or nearly so far:
+const AHEAD: f64 = 0.8;
+const CLOSE: f64 = 0.9;
+/// but where other scales follow only if there are more than so many times the points at the target.
+const FAR: f64 = 3.0;
 
 /// What the worst pixel rules keeps this share of the number of seam edges back for `repair`:
 /// flips across released seams raise the largest error.
 const REPAIR: f64 = 0.08;
 
-/// What is refined, and by which rule.
-#[derive(Clone, Copy)]
-struct Aim<'a, T: Height> {
-    image: &'a Image<'a, T>,
-    rule: &'a Rule,
-}
-
-/// How far the tiles go at a time.
-#[derive(Clone, Copy)]
-struct Rung<'a> {
-    level: f64,
-    /// New vertices at most, for each tile; `None` leaves it as it is.
-    rooms: &'a [Option<usize>],
-    /// Whether samples stand for large triangles no longer.
-    is_exact: bool,
-}
-
 pub struct Ladder<'t> {
     shared: Shared,
-    tiles: Vec<Tile>,
+    crew: Crew,
     seams: Seams,
     tiling: &'t Tiling,
     /// From the first image on.
@@ -92,12 +86,12 @@ impl<'t> Ladder<'t> {
     pub fn new(surface: Surface, tiling: &'t Tiling) -> Result<Self> {
         let seams = Seams::new(&surface, tiling);
         let (shared, tiles) = cut(surface, tiling)?;
-        Ok(Ladder { shared, tiles, seams, tiling, outlook: None })
+        Ok(Ladder { shared, crew: Crew::new(tiles), seams, tiling, outlook: None })
     }
 
     /// Number of vertices that carry a height.
     pub fn count(&self) -> usize {
-        self.shared.count() + self.tiles.iter().map(Tile::inserted).sum::<usize>()
+        self.shared.count() + self.crew.inserted(|_| true)
     }
 
     /// Inserts pixels of another image until there are `max_points` vertices with a height or all
@@ -110,20 +104,29 @@ impl<'t> Ladder<'t> {
         (max_points, end): (usize, End),
         progress: &mut Progress,
     ) -> Result<Stop> {
-        for tile in &mut self.tiles {
+        for tile in &mut self.crew.tiles {
             if let Queued::Now(frame) = tile.queued {
                 tile.queued = Queued::Before(frame);
             }
         }
         self.seams.start_again();
-        let aim = Aim { image, rule };
+        let aim = Aim { image, rule, tiling: self.tiling };
         if max_points < image.rows() * image.cols() {
-            return self.count_down(aim, (max_points, end), progress);
+            let stop = self.count_down(aim, (max_points, end), progress)?;
+            // What a seam has got is missing in no tile.
+            let late = self.crew.coming.iter().map(|points| (!points.is_empty()).then_some(0));
+            let rooms: Vec<_> = late.collect();
+            self.crew.descend(
+                aim,
+                Rung { level: f64::INFINITY, rooms: &rooms, is_exact: false },
+                progress,
+            )?;
+            return Ok(stop);
         }
-        let rooms = vec![Some(usize::MAX); self.tiles.len()];
-        let points = self.refine_seams(aim, f64::NEG_INFINITY, usize::MAX, progress)?;
+        let rooms = vec![Some(usize::MAX); self.crew.tiles.len()];
+        self.refine_seams(aim, f64::NEG_INFINITY, usize::MAX, progress)?;
         let down = Rung { level: f64::NEG_INFINITY, rooms: &rooms, is_exact: false };
-        self.descend(aim, down, points, progress)?;
+        self.crew.descend(aim, down, progress)?;
         Ok(Stop::Tolerance)
     }
 
@@ -131,7 +134,7 @@ impl<'t> Ladder<'t> {
     /// with triangles and vertices numbered by their place, in each tile for itself. Errors:
     /// `out-of-memory`, `cancelled`.
     pub fn finish(self, is_ordered: bool, progress: &mut Progress) -> Result<(Surface, Vec<u32>)> {
-        let mut parts: Vec<Part> = self.tiles.into_iter().map(Part::from).collect();
+        let mut parts: Vec<Part> = self.crew.tiles.into_iter().map(Part::from).collect();
         if is_ordered {
             spread(progress, parts.iter_mut(), |part, progress| part.order(progress))?;
         }
@@ -146,17 +149,17 @@ impl<'t> Ladder<'t> {
         progress: &mut Progress,
     ) -> Result<Stop> {
         progress.part([0.0, 0.0]);
-        if self.tiles.iter().any(|tile| matches!(tile.queued, Queued::Nothing)) {
-            let is_far = max_points / FAR > self.count();
-            if is_far {
-                self.queue(aim, SCOUTS, false, progress)?;
-            }
-            if !is_far || !self.tiles.iter().any(Tile::is_waiting) {
-                self.queue(aim, 1, false, progress)?;
-            }
+        let has_scouts = self.crew.has_scouts();
+        if has_scouts && !self.crew.tiles.iter().any(Tile::has_queue) {
+            self.crew.queue(aim, Party::Scouts, false, progress)?;
+        }
+        if !has_scouts || !self.crew.tiles.iter().any(Tile::is_waiting) {
+            self.crew.queue(aim, Party::All, false, progress)?;
         }
         let mut outlook = self.outlook.take().unwrap_or_else(|| Outlook::new(aim.rule));
         let mut last: Option<(usize, Vec<Waiting>)> = None;
+        // As many vertices as there would be if all tiles were where the scouts are, as long as these tell more.
+        let mut ahead = has_scouts.then(|| self.count() as f64);
         let stop = loop {
             let count = self.count();
             let repair = if aim.rule.is_max() { REPAIR * self.seams.count() as f64 } else { 0.0 } as usize;
@@ -165,71 +168,70 @@ impl<'t> Ladder<'t> {
             if count >= max_points || end == End::Rough && before > ROUGHLY * most {
                 break Stop::Points;
             }
-            let is_exact = end == End::Level && before > CLOSE * most;
-            let waiting: Vec<Waiting> = self.tiles.iter().map(|tile| tile.refiner.waiting()).collect();
+            let waiting = self.crew.waiting();
             // Under infinite priorities no level lets anything through.
-            let is_stuck = last.is_some_and(|(before, waited)| before == count && waited == waiting);
-            let left = most - before;
-            let target = match end {
-                End::Level => {
-                    NEARLY.map(|share| share * most).into_iter().find(|target| target - before > WORTH * left)
-                }
-                End::Rough => Some(most),
-            };
-            let Some(target) = target.filter(|_| !is_stuck) else {
-                if self.tiles.iter().any(|tile| !tile.is_ready(is_exact)) {
-                    self.queue(aim, 1, is_exact, progress)?;
-                }
+            let is_stuck = last.take().is_some_and(|(before, waited)| before == count && waited == waiting);
+            let target = end.target(before, most).filter(|_| !is_stuck);
+            // Samples stand for large triangles no longer once the points are nearly there.
+            let is_exact = end == End::Level && target.is_none_or(|target| target > NEARLY[0] * most);
+            let Some(target) = target else {
+                self.crew.queue(aim, Party::All, is_exact, progress)?;
                 break self.go_singly(aim, max_points, repair / 2, progress)?;
             };
-            if self.tiles.iter().all(|tile| tile.is_ready(false)) && !self.tiles.iter().any(Tile::is_waiting)
-            {
+            if self.crew.is_done() {
                 break Stop::Tolerance;
             }
-            let wanted = target.min(GROWTH * before) - before;
-            progress.part([before / most, ((before + wanted) / most).min(1.0)]);
-            // What the tiles that have a queue say goes for the others, too.
-            let has_queue = |tile: &Tile| !matches!(tile.queued, Queued::Nothing);
-            let part =
-                self.tiles.iter().filter(|tile| has_queue(tile)).count() as f64 / self.tiles.len() as f64;
-            let level = outlook.level_for(part * wanted, &waiting);
-            let mut needs = outlook.needs(&waiting, level);
-            let mean = needs.iter().sum::<f64>() / (part * needs.len() as f64);
-            let others = needs.iter_mut().zip(&self.tiles).filter(|(_, tile)| !has_queue(tile));
-            others.for_each(|(need, _)| *need = mean);
-            let points = self.refine_seams(aim, level, (left / 8.0) as usize, progress)?;
+            let near = before + AHEAD * (target - before);
+            let is_far = end == End::Level || target > FAR * before;
+            let (party, goal) = match ahead {
+                Some(ahead) if is_far && ahead < CLOSE * near => {
+                    (Party::Scouts, near.min(GROWTH_AHEAD * ahead))
+                }
+                _ => (Party::All, target.min(GROWTH * ahead.unwrap_or(before).max(before))),
+            };
+            let wanted = goal - before;
+            progress.part([before / most, ((before + party.share() * wanted) / most).min(1.0)]);
+            let level = self.crew.level_for(&outlook, &waiting, wanted);
+            let needs = self.crew.needs(&outlook, &waiting, level);
+            let on_seams = self.refine_seams(aim, level, (most - before) as usize / 8, progress)?;
             let left = max_points.saturating_sub(self.count());
             let room = match end {
                 End::Level => ((ROOM * wanted) as usize).min((MOST_LEFT * left as f64) as usize) + 1,
                 End::Rough => left,
             };
-            let rooms: Vec<_> = share_out(room, &needs).into_iter().map(Some).collect();
-            self.descend(aim, Rung { level, rooms: &rooms, is_exact }, points, progress)?;
-            outlook.learn(&waiting, level, part * (self.count() - count) as f64);
-            last = Some((count, waiting));
+            let rooms = share_out(room, &needs).into_iter().enumerate();
+            let rooms: Vec<_> = rooms.map(|(i, room)| party.has(i).then_some(room)).collect();
+            // Those that had a queue tell how good the forecast was.
+            let had_queue: Vec<bool> = self.crew.tiles.iter().map(Tile::has_queue).collect();
+            let tells = |i: usize| had_queue[i] && party.has(i);
+            let inserted = self.crew.inserted(tells);
+            self.crew.descend(aim, Rung { level, rooms: &rooms, is_exact }, progress)?;
+            let took = self.crew.inserted(tells) - inserted;
+            let told: Vec<Waiting> =
+                (0..).zip(&waiting).filter(|(i, _)| tells(*i)).map(|(_, w)| w.clone()).collect();
+            let on_seams = on_seams as f64 * told.len() as f64 / waiting.len() as f64;
+            outlook.learn(&told, level, took as f64 + on_seams);
+            ahead = match party {
+                Party::Scouts if took == 0 => None,
+                Party::Scouts => {
+                    let needs = self.crew.needs(&outlook, &self.crew.waiting(), level);
+                    Some(self.count() as f64 + needs.iter().sum::<f64>())
+                }
+                Party::All => {
+                    last = Some((count, waiting));
+                    has_scouts.then(|| self.count() as f64)
+                }
+            };
         };
         self.outlook = Some(outlook);
         Ok(stop)
-    }
-
-    /// Has one in `step` tiles fill its queue, and insert nothing.
-    fn queue<T: Height>(
-        &mut self,
-        aim: Aim<T>,
-        step: usize,
-        is_exact: bool,
-        progress: &mut Progress,
-    ) -> Result<()> {
-        let rooms: Vec<_> = (0..self.tiles.len()).map(|i| i.is_multiple_of(step).then_some(0)).collect();
-        let rung = Rung { level: f64::INFINITY, rooms: &rooms, is_exact };
-        self.descend(aim, rung, vec![Vec::new(); rooms.len()], progress)
     }
 
     /// Inserts one candidate at a time, the most urgent of all tiles, until there are `max_points`;
     /// up to so many `more` where the last ones have uncovered what is more urgent than they were.
     fn go_singly<T: Height>(
         &mut self,
-        Aim { image, rule }: Aim<T>,
+        Aim { image, rule, tiling }: Aim<T>,
         max_points: usize,
         more: usize,
         progress: &mut Progress,
@@ -237,7 +239,7 @@ impl<'t> Ladder<'t> {
         let first = self.count();
         let mut count = first;
         // Priorities that are not negative sort as their bits do.
-        let tops = self.tiles.iter_mut().enumerate();
+        let tops = self.crew.tiles.iter_mut().enumerate();
         let mut tops: BinaryHeap<(u64, Reverse<usize>)> =
             tops.filter_map(|(i, tile)| Some((tile.refiner.top()?.to_bits(), Reverse(i)))).collect();
         let (mut view, mut patch) = (image.view()?, Patch::nothing());
@@ -247,14 +249,14 @@ impl<'t> Ladder<'t> {
                 return Ok(Stop::Points);
             }
             level = level.min(top);
-            let tile = &mut self.tiles[i];
-            let window = self.tiling.window(tile.number);
+            let tile = &mut self.crew.tiles[i];
+            let window = tiling.window(tile.number);
             let Queued::Now(frame) = tile.queued else { continue };
             let show = |view: &mut View<T>, patch: &mut Patch, corners: &[Point]| {
                 let part = window.around(corners);
                 view.show(part, progress)?;
                 patch.cut(view, (window, frame), part)?;
-                self.tiling.on_seams(part).chain(corners.iter().copied()).for_each(|p| patch.exclude(p));
+                tiling.on_seams(part).chain(corners.iter().copied()).for_each(|p| patch.exclude(p));
                 Ok(())
             };
             let before = tile.inserted();
@@ -266,115 +268,25 @@ impl<'t> Ladder<'t> {
         Ok(Stop::Tolerance)
     }
 
-    /// One rung: new seam vertices, and in each tile what is over the level, but no more
-    /// vertices than its room.
-    fn descend<T: Height>(
-        &mut self,
-        aim: Aim<T>,
-        Rung { level, rooms, is_exact }: Rung,
-        points: Vec<Vec<(SeamPoint, u32)>>,
-        progress: &mut Progress,
-    ) -> Result<()> {
-        let (Aim { image, rule }, tiling) = (aim, self.tiling);
-        let tiles = self.tiles.iter_mut().zip(points).zip(rooms);
-        let is_busy = |tile: &Tile, points: &[_], room: usize| {
-            room > 0 || !points.is_empty() || !tile.is_ready(is_exact)
-        };
-        let busy: Vec<_> = tiles
-            .filter_map(|((tile, points), &room)| Some((tile, points, room?)))
-            .filter(|(tile, points, room)| is_busy(tile, points, *room))
-            .collect();
-        // Their memory is used again.
-        let idle = Mutex::new(Vec::new());
-        spread(progress, busy.into_iter(), |(tile, points, room), progress| {
-            let window = tiling.window(tile.number);
-            let mut view = match idle.lock().unwrap_or_else(PoisonError::into_inner).pop() {
-                Some(view) => view,
-                None => image.view()?,
-            };
-            view.show(window, progress)?;
-            let mut patch = tile.prepare(&view, (window, rule), tiling, &points, progress)?;
-            if is_exact && tile.refiner.is_sampling() {
-                tile.refiner.exact(&view, &patch, rule, progress)?;
-            }
-            let goal = Goal { points: tile.refiner.count().saturating_add(room), level };
-            tile.refiner.refine(&view, &mut patch, rule, goal, progress)?;
-            tile.refiner.note_samples();
-            tile.refiner.compact();
-            idle.lock().unwrap_or_else(PoisonError::into_inner).push(view);
-            Ok(())
-        })?;
-        Ok(())
-    }
-
-    /// At most `most` new vertices on seams, numbered, for each of the tiles.
+    /// At most `most` new vertices on seams, for tiles to take in; returns how many.
     fn refine_seams<T: Height>(
         &mut self,
-        Aim { image, rule }: Aim<T>,
+        Aim { image, rule, tiling }: Aim<T>,
         level: f64,
         most: usize,
         progress: &mut Progress,
-    ) -> Result<Vec<Vec<(SeamPoint, u32)>>> {
-        let mut place = vec![usize::MAX; self.tiling.count()];
-        self.tiles.iter().enumerate().for_each(|(i, tile)| place[tile.number] = i);
-        let mut points = vec![Vec::new(); self.tiles.len()];
-        for point in self.seams.refine(image, rule, level, self.tiling, most, progress)? {
-            let number = self.shared.add(&point);
+    ) -> Result<usize> {
+        let mut place = vec![usize::MAX; tiling.count()];
+        self.crew.tiles.iter().enumerate().for_each(|(i, tile)| place[tile.number] = i);
+        let points = self.seams.refine(image, rule, level, tiling, most, progress)?;
+        for point in &points {
+            let number = self.shared.add(point);
             for tile in point.tiles {
-                if let Some(points) = points.get_mut(place[tile]) {
-                    points.push((point, number));
+                if let Some(coming) = self.crew.coming.get_mut(place[tile]) {
+                    coming.push((*point, number));
                 }
             }
         }
-        Ok(points)
-    }
-}
-
-impl Tile {
-    /// Whether its queue is that of the image, and without samples if it is to be exact.
-    fn is_ready(&self, is_exact: bool) -> bool {
-        matches!(self.queued, Queued::Now(_)) && !(is_exact && self.refiner.is_sampling())
-    }
-
-    /// Whether it could go on.
-    fn is_waiting(&self) -> bool {
-        self.refiner.waiting().iter().any(|&(priority, _)| priority > 0.0)
-    }
-
-    /// The heights of the tile, after its new seam vertices have been inserted.
-    fn prepare<T: Height>(
-        &mut self,
-        view: &View<T>,
-        (window, rule): (Window, &Rule),
-        tiling: &Tiling,
-        points: &[(SeamPoint, u32)],
-        progress: &mut Progress,
-    ) -> Result<Patch> {
-        let mut patch = match self.queued {
-            Queued::Nothing => Patch::new(view, window),
-            Queued::Before(frame) => Patch::again(view, window, frame),
-            Queued::Now(frame) => Patch::framed(view, window, frame),
-        }?;
-        self.refiner.surface.mesh.warm();
-        self.refiner.exclude_vertices(&mut patch);
-        tiling.on_seams(window).for_each(|p| patch.exclude(p));
-        if let Queued::Before(_) = self.queued {
-            self.refiner.start_again(view, &patch, rule, progress)?;
-        }
-        let is_first = matches!(self.queued, Queued::Nothing);
-        for &(SeamPoint { pixel, z, .. }, number) in points {
-            let Some(place) = self.border(pixel) else { continue };
-            let v = if !is_first {
-                self.refiner.insert_at(view, &mut patch, rule, (pixel, z, place)).0
-            } else {
-                self.refiner.surface.insert_pixel(pixel, place, z)
-            };
-            self.share(v, number);
-        }
-        if is_first {
-            self.refiner.start(view, &patch, rule, progress)?;
-        }
-        self.queued = Queued::Now(patch.frame());
-        Ok(patch)
+        Ok(points.len())
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Modules, each using only those above it: `predicate`, `curve`, `grid`, `mesh` (`check`,
 //! `constrain`), `scan`, `lanes` (`list`), `patch`, `walk`, `facet`, `noise`, `smoother` (`lines`), `scale`, `outline`,
-//! `queue`, `rule`, `rank`, `refine`, `tiles`, `outlook`, `ladder`, `strips`, `share` (`owned`), `pyramid`, `fit` (`normal`), `blend`,
+//! `queue`, `rule`, `rank`, `refine`, `tiles`, `outlook`, `crew`, `ladder`, `strips`, `share` (`owned`), `pyramid`, `fit` (`normal`), `blend`,
 //! `flip`, `pipeline`; `python` is the binding.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
@@ -11,6 +11,7 @@ pub mod beside;
 pub mod blend;
 pub mod check;
 pub mod constrain;
+mod crew;
 pub mod crop;
 mod curve;
 pub mod domain;
