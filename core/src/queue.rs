@@ -163,18 +163,40 @@ impl Queue {
         }
     }
 
-    /// Number of the bucket of a priority, once the first is known.
+    /// Number of the bucket of a priority; the lowest as long as none waits.
     #[inline]
     fn bucket(&self, priority: f64) -> usize {
         let number = (priority.to_bits() >> BUCKET_SHIFT) as usize;
-        number.saturating_sub(self.lowest.unwrap_or(0)).min(BUCKETS - 1)
+        number.saturating_sub(self.lowest.unwrap_or(usize::MAX)).min(BUCKETS - 1)
     }
 
-    /// The highest priority among those that `is_current` accepts.
+    /// The highest priority among those that `is_current` accepts. From now on, until they are parked, nothing that is
+    /// pushed waits: where one at a time is popped, buckets would take more memory than they save time.
     pub fn top(&mut self, is_current: impl Fn(&Candidate) -> bool) -> Option<f64> {
-        // One at a time is in exact order.
+        if self.level > 0 {
+            self.park(&is_current);
+            (self.level, self.is_heap) = (0, true);
+        }
         self.pop_over(f64::INFINITY, 1, is_current);
         self.heap.peek().map(|candidate| candidate.priority)
+    }
+
+    /// The next that is open.
+    #[inline]
+    fn next(&mut self) -> Option<Candidate> {
+        if self.level == 0 {
+            self.unpark();
+        }
+        self.batch.pop().or_else(|| self.heap.pop())
+    }
+
+    /// Opens what is parked in the bucket of the first of the heap or in a higher one.
+    fn unpark(&mut self) {
+        let Some(last) = self.parked.last().map(|c| self.bucket(c.priority)) else { return };
+        if self.heap.peek().is_none_or(|first| self.bucket(first.priority) <= last) {
+            let rest = self.parked.partition_point(|c| self.bucket(c.priority) < last);
+            self.heap.extend(self.parked.drain(rest..));
+        }
     }
 
     /// The bucket of the largest priorities that wait, which becomes the open one.
@@ -192,19 +214,28 @@ impl Queue {
     /// `candidate.priority` must be 0 or more.
     #[inline]
     pub fn push(&mut self, candidate: Candidate) {
-        if self.waiting.is_empty() {
-            let number = (candidate.priority.to_bits() >> BUCKET_SHIFT) as usize;
-            self.lowest.get_or_insert(number.saturating_sub(BUCKETS / 2));
-            self.waiting = vec![Vec::new(); BUCKETS];
-        }
         let bucket = self.bucket(candidate.priority);
-        if bucket < self.level {
-            self.waiting[bucket].push(candidate);
-        } else if self.is_heap {
-            self.heap.push(candidate);
+        if bucket >= self.level {
+            if self.is_heap {
+                self.heap.push(candidate);
+            } else {
+                self.batch.push(candidate);
+            }
+        } else if let Some(waiting) = self.waiting.get_mut(bucket) {
+            waiting.push(candidate);
         } else {
-            self.batch.push(candidate);
+            self.push_first(candidate);
         }
+    }
+
+    /// Opens the buckets for the first that waits.
+    #[cold]
+    fn push_first(&mut self, candidate: Candidate) {
+        let number = (candidate.priority.to_bits() >> BUCKET_SHIFT) as usize;
+        self.lowest.get_or_insert(number.saturating_sub(BUCKETS / 2));
+        self.waiting = vec![Vec::new(); BUCKETS];
+        let bucket = self.bucket(candidate.priority);
+        self.waiting[bucket].push(candidate);
     }
 
     /// The next candidate that `is_current` accepts; stale ones are dropped. No more
@@ -221,7 +252,7 @@ impl Queue {
         is_current: impl Fn(&Candidate) -> bool,
     ) -> Option<Candidate> {
         loop {
-            while let Some(candidate) = self.batch.pop().or_else(|| self.heap.pop()) {
+            while let Some(candidate) = self.next() {
                 if is_current(&candidate) {
                     if candidate.priority > level {
                         return Some(candidate);
