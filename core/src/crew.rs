@@ -1,5 +1,6 @@
 //! The tiles of a raster at work: all of them, or scouts alone, down to a level.
 
+use crate::desk::Desk;
 use crate::error::Result;
 use crate::grid::Height;
 use crate::image::{Image, View};
@@ -67,11 +68,13 @@ pub struct Crew {
     pub tiles: Vec<Tile>,
     /// Vertices on seams that they have not taken in yet, and their numbers in the whole.
     pub coming: Vec<Vec<(SeamPoint, u32)>>,
+    /// Those at which no tile is at work.
+    desks: Mutex<Vec<Desk>>,
 }
 
 impl Crew {
     pub fn new(tiles: Vec<Tile>) -> Self {
-        Crew { coming: vec![Vec::new(); tiles.len()], tiles }
+        Crew { coming: vec![Vec::new(); tiles.len()], tiles, desks: Mutex::default() }
     }
 
     /// Whether there are tiles enough to send some ahead.
@@ -145,14 +148,16 @@ impl Crew {
             .filter(|(tile, points, room)| is_busy(tile, points, *room))
             .map(|(tile, points, room)| (tile, std::mem::take(points), room))
             .collect();
-        // Their memory is used again.
-        let idle = Mutex::new(Vec::new());
+        // Where they work, the next ones do.
+        let (idle, desks) = (Mutex::new(Vec::new()), &self.desks);
         spread(progress, busy.into_iter(), |(tile, points, room), progress| {
             let window = tiling.window(tile.number);
             let mut view = match idle.lock().unwrap_or_else(PoisonError::into_inner).pop() {
                 Some(view) => view,
                 None => image.view()?,
             };
+            let mut desk = desks.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
+            desk.lay(&mut tile.refiner)?;
             view.show(window, progress)?;
             let mut patch = tile.prepare(&view, (window, rule), tiling, &points, progress)?;
             if is_exact && tile.refiner.is_sampling() {
@@ -161,7 +166,8 @@ impl Crew {
             let goal = Goal { points: tile.refiner.count().saturating_add(room), level };
             tile.refiner.refine(&view, &mut patch, rule, goal, progress)?;
             tile.refiner.note_samples();
-            tile.refiner.compact();
+            desk.clear(&mut tile.refiner)?;
+            desks.lock().unwrap_or_else(PoisonError::into_inner).push(desk);
             idle.lock().unwrap_or_else(PoisonError::into_inner).push(view);
             Ok(())
         })?;
@@ -198,7 +204,6 @@ impl Tile {
             Queued::Before(frame) => Patch::again(view, window, frame),
             Queued::Now(frame) => Patch::framed(view, window, frame),
         }?;
-        self.refiner.surface.mesh.warm();
         self.refiner.exclude_vertices(&mut patch);
         tiling.on_seams(window).for_each(|p| patch.exclude(p));
         if let Queued::Before(_) = self.queued {

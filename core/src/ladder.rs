@@ -13,7 +13,7 @@ use crate::outlook::{share_out, Outlook, Waiting};
 use crate::patch::Patch;
 use crate::predicate::Point;
 use crate::progress::Progress;
-use crate::refine::Stop;
+use crate::refinement::Stop;
 use crate::rule::Rule;
 use crate::seams::Seams;
 use crate::surface::Surface;

@@ -14,6 +14,7 @@ pub mod constrain;
 mod crew;
 pub mod crop;
 mod curve;
+mod desk;
 pub mod domain;
 pub mod error;
 pub mod facet;

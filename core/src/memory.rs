@@ -1,5 +1,5 @@
 //! Asking for memory before it is used: where the allocator itself runs dry, Rust ends
-//! the whole process.
+//! the whole process. And copies that take little.
 
 use crate::error::{Error, Result};
 
@@ -9,6 +9,16 @@ const MARGIN: usize = 16 << 20;
 /// not beside small requests, since to give so much back interrupts all threads.
 const ARENA: usize = 64 << 20;
 const SMALL: usize = 4 << 20;
+
+/// A copy may grow by this share, and a little, before it has to move.
+const SLACK: usize = 16;
+
+/// A copy with little room to grow.
+pub fn compact<T: Copy>(values: &[T]) -> Vec<T> {
+    let mut copy = Vec::with_capacity(values.len() + values.len() / SLACK + SLACK);
+    copy.extend_from_slice(values);
+    copy
+}
 
 /// Fails if `bytes` more cannot be had now. Errors: `out-of-memory`.
 pub fn ensure(bytes: usize) -> Result<()> {

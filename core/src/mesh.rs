@@ -3,6 +3,7 @@
 //! The mesh knows points and the metric, never heights. A constrained edge is never
 //! flipped, only split.
 
+use crate::memory::compact;
 use crate::predicate::{orient2d, Metric, Point};
 pub use crate::triangle::{half_edge, next, prev, triangle_of, Class, Triangle, NONE};
 use crate::triangle::{Location, CLASS, CONSTRAINED, EDGE, HARD, SEAM};
@@ -179,6 +180,19 @@ impl Mesh {
         vertex
     }
 
+    /// Moves to the memory of another one, which is lost.
+    pub(crate) fn move_to(&mut self, mut room: Mesh) {
+        room.points.clone_from(&self.points);
+        room.triangles.clone_from(&self.triangles);
+        *self = Mesh { metric: self.metric, ..room };
+    }
+
+    /// A copy with little room to grow.
+    pub(crate) fn compact(&self) -> Self {
+        let (points, triangles) = (compact(&self.points), compact(&self.triangles));
+        Mesh { points, triangles, metric: self.metric, pending: Vec::new() }
+    }
+
     /// Takes over a renumbered form of itself.
     pub(crate) fn replace(&mut self, points: Vec<Point>, triangles: Vec<Triangle>) {
         self.points = points;
@@ -274,12 +288,6 @@ impl Mesh {
         }
         let [a, b, c] = self.corners(triangle_of(h));
         self.metric.in_circle(a, b, c, self.point(self.apex(twin)))
-    }
-
-    /// Reads all triangles in the order in which they lie: so they come into the cache many times
-    /// faster than one by one as they are met.
-    pub fn warm(&self) {
-        std::hint::black_box(self.triangles.iter().fold(0, |all, triangle| all ^ triangle.version));
     }
 
     /// All half-edges.

@@ -12,7 +12,7 @@ use crate::outline::Shape;
 use crate::pipeline::{self, Options, Report, Scales};
 use crate::predicate::{Metric, UNIT};
 use crate::progress::Progress;
-use crate::refine::Stop;
+use crate::refinement::Stop;
 use crate::rule::Rule;
 use crate::scale;
 use crate::surface::Surface;

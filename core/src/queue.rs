@@ -74,7 +74,6 @@ const BUCKETS: usize = 2 * 40 * 16;
 /// Entries whose triangle has changed are not removed but dropped when met. Only
 /// the bucket of the largest priorities is open; entries of the others wait unsorted,
 /// and most are stale by the time their bucket is opened.
-///
 pub struct Queue {
     order: Order,
     /// The open bucket where the order is exact,
@@ -90,7 +89,13 @@ pub struct Queue {
     lowest: Option<usize>,
     /// The open bucket; entries at or above it do not wait.
     level: usize,
+    /// Buckets to be filled.
+    memory: Memory,
 }
+
+/// Buckets that one queue after the other fills.
+#[derive(Default)]
+pub struct Memory(Vec<Vec<Candidate>>);
 
 /// In which order the candidates of a bucket are popped, together with what their insertions bring up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -119,6 +124,7 @@ impl Queue {
             parked: Vec::new(),
             lowest: None,
             level: BUCKETS,
+            memory: Memory::default(),
         }
     }
 
@@ -136,19 +142,33 @@ impl Queue {
         }))
     }
 
+    /// Works in the other memory; what waits must be parked.
+    pub fn swap(&mut self, memory: &mut Memory) {
+        std::mem::swap(&mut self.memory, memory);
+    }
+
+    /// Becomes a new one, in the memory there is.
+    pub fn clear(&mut self, order: Order) {
+        *self = Queue { memory: std::mem::take(&mut self.memory), ..Queue::new(order) };
+    }
+
     /// Drops the entries that are not wanted, and has the others wait in no more memory than they need.
     pub fn park(&mut self, is_wanted: impl Fn(&Candidate) -> bool) {
         self.level = BUCKETS;
-        let open = std::mem::take(&mut self.heap).into_iter().chain(std::mem::take(&mut self.batch));
-        open.for_each(|candidate| self.push(candidate));
+        let open = [std::mem::take(&mut self.heap).into_vec(), std::mem::take(&mut self.batch)];
+        open.iter().flatten().for_each(|candidate| self.push(*candidate));
         let count = self.parked.len() + self.waiting.iter().map(Vec::len).sum::<usize>();
         let mut parked = std::mem::take(&mut self.parked).into_iter().filter(&is_wanted).peekable();
         let mut all = Vec::with_capacity(count);
-        for (number, bucket) in std::mem::take(&mut self.waiting).into_iter().enumerate() {
+        let mut waiting = std::mem::take(&mut self.waiting);
+        for (number, bucket) in waiting.iter_mut().enumerate() {
             while let Some(candidate) = parked.next_if(|c| self.bucket(c.priority) <= number) {
                 all.push(candidate);
             }
-            all.extend(bucket.into_iter().filter(&is_wanted));
+            all.extend(bucket.drain(..).filter(&is_wanted));
+        }
+        if !waiting.is_empty() {
+            self.memory = Memory(waiting);
         }
         all.extend(parked);
         all.shrink_to_fit();
@@ -205,7 +225,16 @@ impl Queue {
         let waiting = self.waiting[..last].iter().rposition(|bucket| !bucket.is_empty());
         let parked = self.parked.last().map(|c| self.bucket(c.priority));
         self.level = waiting.max(parked)?;
-        let mut bucket = self.waiting.get_mut(self.level).map(std::mem::take).unwrap_or_default();
+        // Those of the bucket before have all been popped; their memory is used again.
+        let spare = if self.is_heap {
+            std::mem::take(&mut self.heap).into_vec()
+        } else {
+            std::mem::take(&mut self.batch)
+        };
+        let mut bucket = match self.waiting.get_mut(self.level) {
+            Some(bucket) => std::mem::replace(bucket, spare),
+            None => spare,
+        };
         let rest = self.parked.partition_point(|c| self.bucket(c.priority) < self.level);
         bucket.extend(self.parked.drain(rest..));
         Some(bucket)
@@ -233,7 +262,8 @@ impl Queue {
     fn push_first(&mut self, candidate: Candidate) {
         let number = (candidate.priority.to_bits() >> BUCKET_SHIFT) as usize;
         self.lowest.get_or_insert(number.saturating_sub(BUCKETS / 2));
-        self.waiting = vec![Vec::new(); BUCKETS];
+        self.waiting = std::mem::take(&mut self.memory.0);
+        self.waiting.resize_with(BUCKETS, Vec::new);
         let bucket = self.bucket(candidate.priority);
         self.waiting[bucket].push(candidate);
     }
@@ -321,6 +351,7 @@ mod tests {
             steps in prop::collection::vec((prop_oneof![0.0f64..9.0, Just(0.0), Just(f64::INFINITY), Just(1e-300)], 0u8..4), 0..80),
         ) {
             let (mut plain, mut parked) = (Queue::new(Order::Exact), Queue::new(Order::Exact));
+            let mut memory = Memory::default();
             let is_current = |c: &Candidate| c.version == 0;
             for (i, (priority, step)) in (0..).zip(steps) {
                 let candidate = Candidate { priority, pixel: i, triangle: i, version: i % 3 / 2, pick: Pick::KNOWN };
@@ -330,6 +361,7 @@ mod tests {
                     0 => prop_assert_eq!(plain.pop(usize::MAX, is_current), parked.pop(usize::MAX, is_current)),
                     1 => {
                         parked.park(is_current);
+                        parked.swap(&mut memory);
                         let waiting: Vec<_> = parked.waiting();
                         prop_assert!(waiting.windows(2).all(|pair| pair[0].0 < pair[1].0));
                         prop_assert_eq!(waiting.iter().map(|w| w.1).sum::<usize>(), parked.parked.len());

@@ -40,7 +40,12 @@ pub struct Ranker {
     vectors: Vectors,
     /// Whether samples stand for the pixels of large triangles.
     pub is_sampling: bool,
-    /// Scratch of the scans.
+    memory: Memory,
+}
+
+/// Scratch of the scans.
+#[derive(Default)]
+pub struct Memory {
     errors: List,
     selector: Selector,
 }
@@ -52,13 +57,12 @@ pub fn is_large(pixels: usize) -> bool {
 
 impl Ranker {
     pub fn new(vectors: Vectors) -> Self {
-        Ranker { vectors, is_sampling: false, errors: List::default(), selector: Selector::default() }
+        Ranker { vectors, is_sampling: false, memory: Memory::default() }
     }
 
-    /// Gives back memory that is not in use.
-    pub fn compact(&mut self) {
-        self.errors = List::default();
-        self.selector = Selector::default();
+    /// Works in the other memory.
+    pub fn swap(&mut self, memory: &mut Memory) {
+        std::mem::swap(&mut self.memory, memory);
     }
 
     /// The sample that stands for the triangle.
@@ -119,18 +123,18 @@ impl Ranker {
 
     #[inline(always)]
     fn rank_by_quantiles<L: Lanes>(&mut self, patch: &Patch, rule: &Rule, facet: &impl Scan) -> Standing {
-        let worst = facet.collect::<L>(patch, &mut self.errors);
+        let worst = facet.collect::<L>(patch, &mut self.memory.errors);
         // The maximum bounds every quantile; what fits exactly needs no point.
         match verdict(patch, facet, worst, rule.tolerance) {
             Verdict::Within => return Standing::Within,
             Verdict::Beyond => {}
             Verdict::Unclear => return Standing::Unclear,
         }
-        let count = self.errors.values().len();
+        let count = self.memory.errors.values().len();
         let mut known = (1.0, worst);
         let mut quantile = |q: f64| {
             if q != known.0 {
-                known = (q, self.selector.nth::<L>(&self.errors, quantile_index(count, q)));
+                known = (q, self.memory.selector.nth::<L>(&self.memory.errors, quantile_index(count, q)));
             }
             known.1
         };

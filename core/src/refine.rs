@@ -13,32 +13,18 @@ use crate::predicate::{pixels_of, Point};
 use crate::progress::Progress;
 use crate::queue::{Candidate, Order, Pick, Queue};
 use crate::rank::{is_large, Ranked, Ranker};
+use crate::refinement::Stop;
 use crate::rule::Rule;
 use crate::surface::Surface;
 use crate::triangle::{Location, Triangle};
 use crate::window::Window;
-
-/// Why refinement ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stop {
-    /// The number of points was reached.
-    Points,
-    /// Every triangle is within the tolerance.
-    Tolerance,
-    /// What is left is noise.
-    Noise,
-    /// Every pixel lies on the mesh: more points would change nothing.
-    Exact,
-    /// The outline of the data and the initial points are more than was asked for.
-    Outline,
-}
 
 /// Patches up to this size are refined in the exact order of the priorities; larger
 /// ones no longer fit the cache and use a local queue.
 const EXACT_PIXELS: usize = 1 << 20;
 
 /// What a vertex takes with its share of the mesh and the queue while they grow.
-const VERTEX_BYTES: usize = 200;
+pub(crate) const VERTEX_BYTES: usize = 200;
 
 /// Where a refinement is to stop, besides the tolerance.
 #[derive(Clone, Copy, Debug)]
@@ -60,8 +46,8 @@ pub enum Reached {
 /// A surface being refined over changing images.
 pub struct Refiner {
     pub surface: Surface,
-    ranker: Ranker,
-    queue: Queue,
+    pub(crate) ranker: Ranker,
+    pub(crate) queue: Queue,
     around: Vec<u32>,
     /// Triangles to be looked at together, with their numbers and versions.
     facets: Facets,
@@ -152,7 +138,7 @@ impl Refiner {
             // For the errors of a triangle that covers all of it, while their lists grow.
             memory::ensure(32 * patch.size())?;
         }
-        self.queue = Queue::new(match (is_large, self.ranker.is_sampling) {
+        self.queue.clear(match (is_large, self.ranker.is_sampling) {
             (true, _) => Order::Curve(patch.stride() as u32),
             (_, true) => Order::Latest,
             _ => Order::Exact,
@@ -236,18 +222,13 @@ impl Refiner {
         Ok(Reached::Points)
     }
 
-    /// How many candidates wait at about which priority, after [`Refiner::compact`].
+    /// How many candidates wait at about which priority, once they are parked.
     pub fn waiting(&self) -> Vec<(f64, usize)> {
         self.queue.waiting()
     }
 
-    /// Gives back memory that is not in use.
-    pub fn compact(&mut self) {
-        self.park();
-        self.ranker.compact();
-    }
-
-    fn park(&mut self) {
+    /// Has what is queued wait in no more memory than it needs.
+    pub(crate) fn park(&mut self) {
         let mesh = &self.surface.mesh;
         self.queue.park(|c| mesh.triangle(c.triangle).version == c.version);
     }

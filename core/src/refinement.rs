@@ -6,15 +6,30 @@ use crate::image::Image;
 use crate::ladder::{End, Ladder};
 use crate::order::by_place;
 use crate::progress::Progress;
-use crate::refine::{Refiner, Stop};
+use crate::refine::Refiner;
 use crate::rule::Rule;
 use crate::surface::Surface;
 use crate::tiling::Tiling;
 
+/// Why refinement ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stop {
+    /// The number of points was reached.
+    Points,
+    /// Every triangle is within the tolerance.
+    Tolerance,
+    /// What is left is noise.
+    Noise,
+    /// Every pixel lies on the mesh: more points would change nothing.
+    Exact,
+    /// The outline of the data and the initial points are more than was asked for.
+    Outline,
+}
+
 /// A surface that is being refined, over one image after the other.
 pub enum Refinement<'t> {
     Whole(Box<Refiner>),
-    Tiled(Ladder<'t>),
+    Tiled(Box<Ladder<'t>>),
 }
 
 impl<'t> Refinement<'t> {
@@ -23,7 +38,7 @@ impl<'t> Refinement<'t> {
         if tiling.count() == 1 {
             return Ok(Refinement::Whole(Box::new(Refiner::new(surface))));
         }
-        Ok(Refinement::Tiled(Ladder::new(surface, tiling)?))
+        Ok(Refinement::Tiled(Box::new(Ladder::new(surface, tiling)?)))
     }
 
     /// Number of vertices that carry a height.

@@ -4,6 +4,7 @@ use crate::curve::insertion_order;
 use crate::error::Result;
 use crate::grid::{Grid, Height};
 use crate::image::Image;
+use crate::memory::compact;
 use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
 use crate::predicate::Point;
 use crate::progress::Progress;
@@ -69,6 +70,19 @@ impl Surface {
             is_fixed: old.iter().map(|&v| self.is_fixed[v as usize]).collect(),
         };
         (part, old)
+    }
+
+    /// Moves to the memory of another one, which is lost.
+    pub fn move_to(&mut self, mut room: Surface) {
+        self.mesh.move_to(room.mesh);
+        room.z.clone_from(&self.z);
+        room.is_fixed.clone_from(&self.is_fixed);
+        (self.z, self.is_fixed) = (room.z, room.is_fixed);
+    }
+
+    /// A copy with little room to grow.
+    pub fn compact(&self) -> Self {
+        Surface { mesh: self.mesh.compact(), z: compact(&self.z), is_fixed: compact(&self.is_fixed) }
     }
 
     /// Vertices without data, which are in no output.

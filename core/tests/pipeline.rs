@@ -10,7 +10,7 @@ use dem2tin_core::grid::{Grid, Height};
 use dem2tin_core::measure::{errors, rasterise};
 use dem2tin_core::pipeline::{triangulate, Options, Scales, Triangulation};
 use dem2tin_core::predicate::{orient2d, Metric, UNIT};
-use dem2tin_core::refine::Stop;
+use dem2tin_core::refinement::Stop;
 use dem2tin_core::rule::Rule;
 use proptest::prelude::*;
 

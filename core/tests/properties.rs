@@ -14,7 +14,7 @@ use dem2tin_core::outline::trace;
 use dem2tin_core::pipeline::{triangulate, Options, Scales, Triangulation};
 use dem2tin_core::predicate::{orient2d, Metric, Point, UNIT};
 use dem2tin_core::progress::Progress;
-use dem2tin_core::refine::Stop;
+use dem2tin_core::refinement::Stop;
 use dem2tin_core::rule::Rule;
 use dem2tin_core::simplify::{simplify, Chain};
 use proptest::prelude::*;

@@ -9,7 +9,7 @@ use dem2tin_core::error::Error;
 use dem2tin_core::grid::Grid;
 use dem2tin_core::noise::spikes;
 use dem2tin_core::pipeline::{Options, Scales};
-use dem2tin_core::refine::Stop;
+use dem2tin_core::refinement::Stop;
 use dem2tin_core::rule::Rule;
 
 #[test]
