@@ -60,7 +60,7 @@ impl Scan for Facet {
 
     #[inline(always)]
     fn first(&self, patch: &Patch) -> usize {
-        let [col, row] = [self.walk.p[0].x, self.walk.p[0].y].map(|v| (v >> SUB_BITS) as usize);
+        let [col, row] = [self.walk.p[0].x, self.walk.p[0].y].map(|v| (v >> SUB_BITS).max(0) as usize);
         row * patch.stride() + col
     }
 }

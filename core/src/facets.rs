@@ -217,7 +217,7 @@ impl Scan for Narrow<'_> {
 
     #[inline(always)]
     fn first(&self, patch: &Patch) -> usize {
-        let [col, row] = [0, 1].map(|k| self.facets.ready.first[k][self.i] as usize);
+        let [col, row] = [0, 1].map(|k| self.facets.ready.first[k][self.i].max(0) as usize);
         row * patch.stride() + col
     }
 }

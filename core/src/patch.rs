@@ -109,7 +109,8 @@ impl Patch {
         });
         let middle = 0.5 * (low + high);
         let is_far = middle.abs() > high - low;
-        let coarse = if is_far && middle.is_finite() { f64::from(middle as f32) } else { 0.0 };
+        let coarse = f64::from(middle as f32);
+        let coarse = if is_far && coarse.is_finite() { coarse } else { 0.0 };
         let lowest = if low.is_finite() { low } else { 0.0 };
         let mut patch = Patch::empty(window, lowest)?;
         patch.fill::<T, true>(view);

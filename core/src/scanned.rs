@@ -32,7 +32,7 @@ pub trait Scan {
     /// Pixels that each candidate stands for: 1 but for a sample.
     fn thinning(&self) -> usize;
 
-    /// The place of its first corner, or of a pixel beside it.
+    /// The place of its first corner, or of a pixel beside it: corners between pixels may lie outside the patch.
     fn first(&self, patch: &Patch) -> usize;
 
     /// How far an error in single precision can be off.

@@ -116,3 +116,15 @@ fn a_tolerance_holds_where_single_precision_overflows() {
         assert!(residuals(&done, &z, 12).iter().all(|&e| e <= 2.000001e97));
     }
 }
+
+#[test]
+fn a_height_beyond_single_precision_is_found_over_others() {
+    let mut z = vec![4.4e99; 60];
+    z[13] = 9.8e99;
+    for tile in [0, 4] {
+        let done = run(&z, 10, 6, &Options { tile, ..plain(Rule { tolerance: 1e98, ..MAX }, usize::MAX) });
+        let done = done.unwrap();
+        assert_eq!(done.report.stop, Stop::Tolerance);
+        assert!(residuals(&done, &z, 6).iter().all(|error| *error <= 1e98));
+    }
+}
