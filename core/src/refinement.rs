@@ -7,24 +7,9 @@ use crate::ladder::{End, Ladder};
 use crate::order::by_place;
 use crate::progress::Progress;
 use crate::refine::Refiner;
-use crate::rule::Rule;
+use crate::rule::{Rule, Stop};
 use crate::surface::Surface;
 use crate::tiling::Tiling;
-
-/// Why refinement ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stop {
-    /// The number of points was reached.
-    Points,
-    /// Every triangle is within the tolerance.
-    Tolerance,
-    /// What is left is noise.
-    Noise,
-    /// Every pixel lies on the mesh: more points would change nothing.
-    Exact,
-    /// The outline of the data and the initial points are more than was asked for.
-    Outline,
-}
 
 /// A surface that is being refined, over one image after the other.
 pub enum Refinement<'t> {

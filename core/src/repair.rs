@@ -5,7 +5,7 @@ use crate::grid::{Grid, Height};
 use crate::mesh::{triangle_of, Class};
 use crate::predicate::Point;
 use crate::progress::Progress;
-use crate::refinement::Stop;
+use crate::rule::Stop;
 use crate::scan::for_each_pixel;
 use crate::surface::Surface;
 use crate::threads::spread;

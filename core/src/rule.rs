@@ -66,3 +66,18 @@ const WORST_SHARE: f64 = 0.3;
 pub fn quantile_index(n: usize, q: f64) -> usize {
     ((n - 1) as f64 * q) as usize
 }
+
+/// Why refinement ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stop {
+    /// The number of points was reached.
+    Points,
+    /// Every triangle is within the tolerance.
+    Tolerance,
+    /// What is left is noise.
+    Noise,
+    /// Every pixel lies on the mesh: more points would change nothing.
+    Exact,
+    /// The outline of the data and the initial points are more than was asked for.
+    Outline,
+}

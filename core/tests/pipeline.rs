@@ -10,8 +10,7 @@ use dem2tin_core::grid::{Grid, Height};
 use dem2tin_core::measure::{errors, rasterise};
 use dem2tin_core::pipeline::{triangulate, Options, Scales, Triangulation};
 use dem2tin_core::predicate::{orient2d, Metric, UNIT};
-use dem2tin_core::refinement::Stop;
-use dem2tin_core::rule::Rule;
+use dem2tin_core::rule::{Rule, Stop};
 use proptest::prelude::*;
 
 /// Twice the area in pixels of the cell complex of the valid pixels.

@@ -13,7 +13,7 @@ use dem2tin_core::lanes::Vectors;
 use dem2tin_core::pipeline::{Options, Scales};
 use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::refine::Refiner;
-use dem2tin_core::refinement::Stop;
+use dem2tin_core::rule::Stop;
 use dem2tin_core::rule::{quantile_index, Rule};
 use proptest::prelude::*;
 use std::collections::BTreeSet;

@@ -9,8 +9,7 @@ use dem2tin_core::error::Error;
 use dem2tin_core::grid::Grid;
 use dem2tin_core::noise::spikes;
 use dem2tin_core::pipeline::{Options, Scales};
-use dem2tin_core::refinement::Stop;
-use dem2tin_core::rule::Rule;
+use dem2tin_core::rule::{Rule, Stop};
 
 #[test]
 fn a_tolerance_holds_after_coarser_scales_without_a_fit() {

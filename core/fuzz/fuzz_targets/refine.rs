@@ -11,8 +11,7 @@ use dem2tin_core::outline::Shape;
 use dem2tin_core::pipeline::{triangulate, Options, Scales};
 use dem2tin_core::predicate::Metric;
 use dem2tin_core::progress::Progress;
-use dem2tin_core::refinement::Stop;
-use dem2tin_core::rule::Rule;
+use dem2tin_core::rule::{Rule, Stop};
 use dem2tin_core_fuzz::{assert_sound, in_complex, metric};
 use libfuzzer_sys::fuzz_target;
 
