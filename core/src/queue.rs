@@ -210,6 +210,18 @@ impl Queue {
         self.batch.pop().or_else(|| self.heap.pop())
     }
 
+    /// Whether the open bucket is in a rough order.
+    #[inline]
+    pub fn is_rough(&self) -> bool {
+        !self.is_heap
+    }
+
+    /// The next that `is_current` accepts of an open bucket in a rough order; stale ones are dropped.
+    #[inline]
+    pub fn pop_rough(&mut self, is_current: impl Fn(&Candidate) -> bool) -> Option<Candidate> {
+        std::iter::from_fn(|| self.batch.pop()).find(is_current)
+    }
+
     /// Opens what is parked in the bucket of the first of the heap or in a higher one.
     fn unpark(&mut self) {
         let Some(last) = self.parked.last().map(|c| self.bucket(c.priority)) else { return };

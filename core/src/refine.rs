@@ -22,6 +22,12 @@ use crate::window::Window;
 /// ones no longer fit the cache and use a local queue.
 const EXACT_PIXELS: usize = 1 << 20;
 
+/// In a rough order so many triangles may have changed before they are looked at.
+const CHANGED: usize = 256;
+
+/// The work that an insertion makes beside its scans, in pixels.
+const INSERTION: usize = 64;
+
 /// What a vertex takes with its share of the mesh and the queue while they grow.
 pub(crate) const VERTEX_BYTES: usize = 200;
 
@@ -48,6 +54,8 @@ pub struct Refiner {
     pub(crate) ranker: Ranker,
     pub(crate) queue: Queue,
     around: Vec<u32>,
+    /// Triangles still to be looked at, with their versions.
+    changed: Vec<(u32, u32)>,
     /// Triangles to be looked at together, with their numbers and versions.
     facets: Facets,
     looked_at: Vec<(u32, u32)>,
@@ -67,6 +75,7 @@ impl Refiner {
             ranker: Ranker::new(vectors),
             queue: Queue::new(Order::Exact),
             around: Vec::new(),
+            changed: Vec::new(),
             facets: Facets::default(),
             looked_at: Vec::new(),
             scaffolding,
@@ -199,17 +208,14 @@ impl Refiner {
                 room = 2 * self.surface.z.len().max(1 << 10);
                 memory::ensure(VERTEX_BYTES * room)?;
             }
-            let mesh = &self.surface.mesh;
-            let is_current = |c: &Candidate| mesh.triangle(c.triangle).version == c.version;
-            let Some(best) = self.queue.pop_over(goal.level, goal.points - self.count(), is_current) else {
-                return Ok(Reached::Level);
-            };
+            let (best, scanned) = self.next(view, patch, rule, goal);
+            let Some(best) = best else { return Ok(Reached::Level) };
             if best.pick == Pick::RESCAN {
                 let work = self.enqueue([best.triangle], view, patch, rule);
-                progress.poll(work, || 0.0)?;
+                progress.poll(scanned + work, || 0.0)?;
                 continue;
             }
-            let work = self.insert_candidate(view, patch, rule, &best);
+            let work = scanned + self.insert_candidate(view, patch, rule, &best);
             let first = *first_priority.get_or_insert(best.priority);
             let (count, last) = (self.count(), rule.tolerance.max(goal.level));
             progress.poll(work, || {
@@ -218,7 +224,30 @@ impl Refiner {
                 by_points.max(if by_error.is_finite() { by_error } else { 0.0 })
             })?;
         }
+        self.enqueue_changed(view, patch, rule);
         Ok(Reached::Points)
+    }
+
+    /// The most urgent candidate over the level, and the work done in pixels. In a rough order what a bucket
+    /// has changed is scanned all together, when it is worked off: some of it has changed again by then.
+    #[inline]
+    fn next<T: Height>(
+        &mut self,
+        view: &View<T>,
+        patch: &Patch,
+        rule: &Rule,
+        goal: Goal,
+    ) -> (Option<Candidate>, usize) {
+        if self.changed.len() < CHANGED {
+            let mesh = &self.surface.mesh;
+            if let Some(best) = self.queue.pop_rough(|c| mesh.triangle(c.triangle).version == c.version) {
+                return (Some(best), 0);
+            }
+        }
+        let work = self.enqueue_changed(view, patch, rule);
+        let mesh = &self.surface.mesh;
+        let is_current = |c: &Candidate| mesh.triangle(c.triangle).version == c.version;
+        (self.queue.pop_over(goal.level, goal.points - self.count(), is_current), work)
     }
 
     /// How many candidates wait at about which priority, once they are parked.
@@ -262,7 +291,7 @@ impl Refiner {
         Ok(self.enqueue_around(view, patch, rule))
     }
 
-    /// Inserts the pixel and queues the triangles around it. Returns the work done in pixels.
+    /// Inserts the pixel and queues the triangles around it, in a rough order later. Returns the work done in pixels.
     fn insert_candidate<T: Height>(
         &mut self,
         view: &View<T>,
@@ -271,7 +300,13 @@ impl Refiner {
         best: &Candidate,
     ) -> usize {
         let candidate = self.candidate(view, patch, best);
-        self.insert_at(view, patch, rule, candidate).1
+        if !self.queue.is_rough() {
+            return self.insert_at(view, patch, rule, candidate).1;
+        }
+        self.insert_into(patch, candidate);
+        let mesh = &self.surface.mesh;
+        self.changed.extend(self.around.iter().map(|&t| (t, mesh.triangle(t).version)));
+        INSERTION
     }
 
     /// The pixel to insert, its height and its place in the mesh.
@@ -304,9 +339,15 @@ impl Refiner {
         rule: &Rule,
         (pixel, z, place): ((usize, usize), f64, Location),
     ) -> (u32, usize) {
-        let v = self.insert((pixel, z, place));
-        patch.exclude(Point::pixel(pixel.0, pixel.1));
+        let v = self.insert_into(patch, (pixel, z, place));
         (v, self.enqueue_around(view, patch, rule))
+    }
+
+    /// Inserts a pixel, which is no candidate from now on, and notes the triangles around it.
+    #[inline]
+    fn insert_into(&mut self, patch: &mut Patch, (pixel, z, place): ((usize, usize), f64, Location)) -> u32 {
+        patch.exclude(Point::pixel(pixel.0, pixel.1));
+        self.insert((pixel, z, place))
     }
 
     /// Inserts a pixel and notes the triangles around it.
@@ -325,7 +366,20 @@ impl Refiner {
         let around = std::mem::take(&mut self.around);
         let work = self.enqueue(around.iter().copied(), view, patch, rule);
         self.around = around;
-        64 + work
+        INSERTION + work
+    }
+
+    /// Scans and queues what has changed, as far as it is still there. Returns the work done in pixels.
+    fn enqueue_changed<T: Height>(&mut self, view: &View<T>, patch: &Patch, rule: &Rule) -> usize {
+        let mut changed = std::mem::take(&mut self.changed);
+        let mut work = 0;
+        for (t, version) in changed.drain(..) {
+            if self.surface.mesh.triangle(t).version == version {
+                work += self.look_at(t, view, patch, rule);
+            }
+        }
+        self.changed = changed;
+        work + self.look(view, patch, rule)
     }
 
     /// Scans and queues the triangles that are marked.
@@ -357,16 +411,23 @@ impl Refiner {
     ) -> usize {
         let mut work = 0;
         for t in triangles {
-            let triangle = self.surface.mesh.triangle(t);
-            if triangle.class() == Class::Data {
-                self.looked_at.push((t, triangle.version));
-                self.facets.push(self.surface.mesh.corners(t), self.surface.heights(t));
-                if self.looked_at.len() == LANES {
-                    work += self.look(view, patch, rule);
-                }
-            }
+            work += self.look_at(t, view, patch, rule);
         }
         work + self.look(view, patch, rule)
+    }
+
+    /// Notes a triangle that is to be looked at; when there are as many as lanes, they are.
+    #[inline(always)]
+    fn look_at<T: Height>(&mut self, t: u32, view: &View<T>, patch: &Patch, rule: &Rule) -> usize {
+        let triangle = self.surface.mesh.triangle(t);
+        if triangle.class() == Class::Data {
+            self.looked_at.push((t, triangle.version));
+            self.facets.push(self.surface.mesh.corners(t), self.surface.heights(t));
+            if self.looked_at.len() == LANES {
+                return self.look(view, patch, rule);
+            }
+        }
+        0
     }
 
     /// Scans the triangles that are to be looked at.
