@@ -261,10 +261,12 @@ mod tests {
             let bound = facet.rounding(largest as f32);
             let (mut plain, mut best) = (List::default(), List::default());
             let found = Vectors::Plain.run(Collect(&facet, &patch, &mut plain));
-            prop_assert_eq!(Vectors::best().run(Collect(&facet, &patch, &mut best)), found);
-            prop_assert_eq!(plain.values(), best.values());
-                let worst = Vectors::Plain.run(Worst(&facet, &patch));
-            prop_assert_eq!(Vectors::best().run(Worst(&facet, &patch)), worst);
+            let worst = Vectors::Plain.run(Worst(&facet, &patch));
+            for vectors in Vectors::all() {
+                prop_assert_eq!(vectors.run(Collect(&facet, &patch, &mut best)), found);
+                prop_assert_eq!(plain.values(), best.values());
+                prop_assert_eq!(vectors.run(Worst(&facet, &patch)), worst);
+            }
             prop_assert_eq!((worst, plain.values().len()), (found, expected.len()));
             let sorted = |mut errors: Vec<f64>| { errors.sort_by(f64::total_cmp); errors };
             let errors = sorted(plain.values().iter().map(|&error| error.into()).collect());
@@ -273,18 +275,20 @@ mod tests {
             }
             for &error in plain.values().iter().step_by(5) {
                 let found = facet.worst_up_to(error, &patch, Vectors::Plain);
-                prop_assert_eq!(facet.worst_up_to(error, &patch, Vectors::best()), found);
+                prop_assert!(Vectors::all().all(|vectors| facet.worst_up_to(error, &patch, vectors) == found));
                 prop_assert_eq!(found.error, error);
                 let there = expected.iter().find(|e| e.0 as usize == found.place).unwrap().1;
                 prop_assert!((f64::from(error) - there).abs() <= bound);
             }
             if let Some(sample) = facet.sampled(16) {
                 let found = Vectors::Plain.run(Collect(&sample, &patch, &mut plain));
-                prop_assert_eq!(Vectors::best().run(Collect(&sample, &patch, &mut best)), found);
-                prop_assert_eq!(plain.values(), best.values());
+                for vectors in Vectors::all() {
+                    prop_assert_eq!(vectors.run(Collect(&sample, &patch, &mut best)), found);
+                    prop_assert_eq!(plain.values(), best.values());
+                    prop_assert_eq!(vectors.run(Worst(&sample, &patch)), found);
+                }
                 let of_all = |error: f32| expected.iter().any(|e| (f64::from(error) - e.1).abs() <= bound);
                 prop_assert!(plain.values().iter().all(|&error| of_all(error)));
-                prop_assert_eq!(Vectors::best().run(Worst(&sample, &patch)), found);
                 prop_assert_eq!(facet.worst_up_to(found, &patch, Vectors::best()).error, found);
             }
         }

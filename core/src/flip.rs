@@ -78,7 +78,8 @@ fn gains<T: Height>(
     }
     let Some((first, _)) = quads.first() else { return Vec::new() };
     let patch = Patch::near(target, quads.iter().map(|(quad, _)| quad.p), first.z[0]);
-    let gain = |quad: &Quad| Pyramid::over(quad).gain(target, patch.as_ref(), Vectors::best());
+    let vectors = Vectors::best();
+    let gain = |quad: &Quad| Pyramid::over(quad).gain(target, patch.as_ref(), vectors);
     let mut gains: Vec<_> = quads.iter().filter_map(|(quad, h)| Some((gain(quad)?, *h))).collect();
     gains.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     gains

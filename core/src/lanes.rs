@@ -1,10 +1,12 @@
-//! Eight numbers at a time: AVX2 where the machine has it, plain arrays elsewhere, with the
-//! same bits as the result. Here and in `avx2` is all `unsafe` code.
+//! Eight numbers at a time, or twice eight: AVX-512 or AVX2 where the machine has it, plain arrays elsewhere,
+//! with the same bits as the result. Here and in `avx2` and `avx512` is all `unsafe` code.
 
 #![allow(unsafe_code)]
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
 mod plain;
 
 pub use plain::Plain;
@@ -17,6 +19,7 @@ pub trait Lanes: Copy {
     type F: Copy;
     type I: Copy;
     type D: Copy;
+    type Pair: Pair<Self>;
 
     fn splat(value: f32) -> Self::F;
     fn load(from: &[f32; LANES]) -> Self::F;
@@ -83,6 +86,86 @@ pub trait Lanes: Copy {
     fn apart<W: Part<Self>>(part: W) -> W::Output;
 }
 
+/// Two vectors of `f32` beside each other, in one where the machine has such.
+pub trait Pair<L: Lanes>: Copy {
+    /// Two vectors of `i32`, the right one so much larger than the left one.
+    type Edge: Copy;
+    /// Numbers of which the signs count.
+    type Sign: Copy;
+
+    fn join(left: L::F, right: L::F) -> Self;
+    fn edge(left: L::I, beyond: L::I) -> Self::Edge;
+    /// The same added to both.
+    fn step(edge: Self::Edge, by: L::I) -> Self::Edge;
+    /// Negative where one of the edges is.
+    fn either(edges: [Self::Edge; 3]) -> Self::Sign;
+    fn halves(self) -> [L::F; 2];
+    fn load(from: &[f32; 2 * LANES]) -> Self;
+    fn add(self, other: Self) -> Self;
+    fn sub(self, other: Self) -> Self;
+    fn abs(self) -> Self;
+    /// `value` where `sign` is negative, and otherwise as it is.
+    fn where_negative(self, sign: Self::Sign, value: f32) -> Self;
+    /// As [`Lanes::compress`] of what is greater than `least`.
+    fn compress(self, least: f32, into: &mut [f32], at: usize) -> usize;
+}
+
+impl<L: Lanes> Pair<L> for [L::F; 2] {
+    /// The left vector and what the right one is larger by: fewer to keep at hand.
+    type Edge = [L::I; 2];
+    type Sign = [L::I; 2];
+
+    #[inline(always)]
+    fn join(left: L::F, right: L::F) -> Self {
+        [left, right]
+    }
+    #[inline(always)]
+    fn edge(left: L::I, beyond: L::I) -> Self::Edge {
+        [left, beyond]
+    }
+    #[inline(always)]
+    fn step([left, beyond]: Self::Edge, by: L::I) -> Self::Edge {
+        [L::add_i(left, by), beyond]
+    }
+    #[inline(always)]
+    fn either(edges: [Self::Edge; 3]) -> Self::Sign {
+        let either = |[a, b, c]: [L::I; 3]| L::or_i(L::or_i(a, b), c);
+        [either(edges.map(|[left, _]| left)), either(edges.map(|[left, beyond]| L::add_i(left, beyond)))]
+    }
+    #[inline(always)]
+    fn halves(self) -> [L::F; 2] {
+        self
+    }
+    #[inline(always)]
+    fn load(from: &[f32; 2 * LANES]) -> Self {
+        let (halves, _) = from.as_chunks();
+        [L::load(&halves[0]), L::load(&halves[1])]
+    }
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        [L::add(self[0], other[0]), L::add(self[1], other[1])]
+    }
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        [L::sub(self[0], other[0]), L::sub(self[1], other[1])]
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        self.map(L::abs)
+    }
+    #[inline(always)]
+    fn where_negative(self, sign: Self::Sign, value: f32) -> Self {
+        let value = L::splat(value);
+        [L::where_negative(sign[0], value, self[0]), L::where_negative(sign[1], value, self[1])]
+    }
+    #[inline(always)]
+    fn compress(self, least: f32, into: &mut [f32], at: usize) -> usize {
+        let least = L::splat(least);
+        let count = L::compress(L::greater(self[0], least), self[0], into, at);
+        count + L::compress(L::greater(self[1], least), self[1], into, at + count)
+    }
+}
+
 /// Work written once for all vectors.
 pub trait Kernel {
     type Output;
@@ -103,25 +186,54 @@ pub enum Vectors {
     Plain,
     #[cfg(target_arch = "x86_64")]
     Avx2,
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
 }
 
 impl Vectors {
     /// The widest that this machine has.
     pub fn best() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("popcnt") {
-            return Vectors::Avx2;
+        Vectors::all().last().unwrap_or(Vectors::Plain)
+    }
+
+    /// All that this machine has, the widest last.
+    pub fn all() -> impl Iterator<Item = Self> {
+        let all = [
+            Vectors::Plain,
+            #[cfg(target_arch = "x86_64")]
+            Vectors::Avx2,
+            #[cfg(target_arch = "x86_64")]
+            Vectors::Avx512,
+        ];
+        all.into_iter().filter(|vectors| vectors.is_there())
+    }
+
+    fn is_there(self) -> bool {
+        match self {
+            Vectors::Plain => true,
+            #[cfg(target_arch = "x86_64")]
+            Vectors::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("popcnt"),
+            // Machines with AVX-512 but without VBMI2 slow down for a while after instructions on so many lanes.
+            #[cfg(target_arch = "x86_64")]
+            Vectors::Avx512 => {
+                Vectors::Avx2.is_there()
+                    && is_x86_feature_detected!("avx512f")
+                    && is_x86_feature_detected!("avx512vl")
+                    && is_x86_feature_detected!("avx512vbmi2")
+            }
         }
-        Vectors::Plain
     }
 
     #[inline(always)]
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self {
             Vectors::Plain => kernel.run::<Plain>(),
-            // SAFETY: made by `best` alone outside tests, after a look at the machine.
+            // SAFETY: made by `all` alone, after a look at the machine.
             #[cfg(target_arch = "x86_64")]
             Vectors::Avx2 => unsafe { avx2::run(kernel) },
+            // SAFETY: likewise.
+            #[cfg(target_arch = "x86_64")]
+            Vectors::Avx512 => unsafe { avx512::run(kernel) },
         }
     }
 }

@@ -75,10 +75,10 @@ fn shift<T: Height, const CHECK: bool>(heights: &[T], reference: f64, into: &mut
     (largest.into_iter().fold(0.0, f32::max), !rounded.contains(&true))
 }
 
-/// The first eight of every so many heights, as long as there are so many. (By `chunks_exact` it would
+/// The first `N` of every so many heights, as long as there are so many. (By `chunks_exact` it would
 /// begin with a division.)
 #[inline(always)]
-fn heads(mut heights: &[f32], apart: usize) -> impl Iterator<Item = &[f32; LANES]> {
+fn heads<const N: usize>(mut heights: &[f32], apart: usize) -> impl Iterator<Item = &[f32; N]> {
     std::iter::from_fn(move || {
         let (row, rest) = heights.split_at_checked(apart)?;
         heights = rest;
@@ -253,9 +253,9 @@ impl Patch {
         self.z[place - self.base]
     }
 
-    /// Eight heights from a place on, and from those below it: so many rows that the patch holds.
+    /// Up to sixteen heights from a place on, and from those below it: so many rows that the patch holds.
     #[inline(always)]
-    pub fn rows(&self, place: usize, count: usize) -> impl Iterator<Item = &[f32; LANES]> {
+    pub fn rows<const N: usize>(&self, place: usize, count: usize) -> impl Iterator<Item = &[f32; N]> {
         let start = place.wrapping_sub(self.base);
         let rows = self.z.get(start..start.wrapping_add(count * self.stride)).unwrap_or_default();
         heads(rows, self.stride)

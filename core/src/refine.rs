@@ -371,6 +371,9 @@ impl Refiner {
 
     /// Scans and queues what has changed, as far as it is still there. Returns the work done in pixels.
     fn enqueue_changed<T: Height>(&mut self, view: &View<T>, patch: &Patch, rule: &Rule) -> usize {
+        if self.changed.is_empty() {
+            return 0;
+        }
         let mut changed = std::mem::take(&mut self.changed);
         let mut work = 0;
         for (t, version) in changed.drain(..) {
@@ -433,6 +436,9 @@ impl Refiner {
     /// Scans the triangles that are to be looked at.
     #[inline]
     fn look<T: Height>(&mut self, view: &View<T>, patch: &Patch, rule: &Rule) -> usize {
+        if self.looked_at.is_empty() {
+            return 0;
+        }
         let Refiner { ranker, queue, facets, looked_at, .. } = self;
         let work = ranker.rank(view, patch, rule, facets, |i, Ranked { priority, place, pick }| {
             let (triangle, version) = looked_at[i];

@@ -1,6 +1,6 @@
 //! What is asked of a triangle's errors while it is ranked.
 
-use crate::lanes::Lanes;
+use crate::lanes::{Lanes, Pair};
 use crate::list::List;
 use crate::patch::Patch;
 use crate::walk::Visitor;
@@ -79,6 +79,12 @@ impl<L: Lanes> Visitor<L> for Largest<L> {
         self.0 = L::max(error, self.0);
         false
     }
+
+    #[inline(always)]
+    fn see_both(&mut self, errors: L::Pair) {
+        let [left, right] = errors.halves();
+        self.0 = L::max(right, L::max(left, self.0));
+    }
 }
 
 struct Collector<'a, L: Lanes> {
@@ -94,5 +100,12 @@ impl<L: Lanes> Visitor<L> for Collector<'_, L> {
         self.largest = L::max(error, self.largest);
         self.count += L::compress(L::greater(error, L::splat(-0.5)), error, self.values, self.count);
         false
+    }
+
+    #[inline(always)]
+    fn see_both(&mut self, errors: L::Pair) {
+        let [left, right] = errors.halves();
+        self.largest = L::max(right, L::max(left, self.largest));
+        self.count += errors.compress(-0.5, self.values, self.count);
     }
 }

@@ -187,7 +187,7 @@ mod tests {
             sorted.sort_unstable_by(f32::total_cmp);
             let list: List = values.iter().copied().collect();
             for k in (0..values.len()).step_by(7).chain([values.len() - 1]) {
-                for vectors in [Vectors::Plain, Vectors::best()] {
+                for vectors in Vectors::all() {
                     let found = vectors.run(Find(&list, k));
                     prop_assert_eq!(found.to_bits(), sorted[k].to_bits());
                 }

@@ -1,6 +1,6 @@
 //! The pixels of a triangle, eight at a time and in single precision.
 
-use crate::lanes::{Lanes, Part, LANES};
+use crate::lanes::{Lanes, Pair, Part, LANES};
 use crate::patch::Patch;
 use crate::predicate::{Point, SUB_BITS, UNIT};
 use crate::scan::{rows_between, Plane, Side, Spans};
@@ -40,6 +40,13 @@ pub trait Visitor<L: Lanes> {
     /// Eight errors; one is -1 beside the triangle and NaN where there is no candidate.
     /// Returns whether that was all there is to look for.
     fn see(&mut self, error: L::F) -> bool;
+
+    /// Twice eight errors likewise, where all are looked at.
+    fn see_both(&mut self, errors: L::Pair) {
+        for error in errors.halves() {
+            self.see(error);
+        }
+    }
 }
 
 impl Walk {
@@ -233,14 +240,19 @@ impl<L: Lanes> Strip<L> {
         [per_col, per_row]: [f32; 2],
         [down, step]: [f32; 2],
     ) -> Self {
-        let across = L::mul(L::splat(per_col), L::to_f(L::ramp(0, 1)));
         Strip {
             edges,
-            start: L::add(L::splat(start), across),
+            start: Self::heights(start, per_col),
             slope: L::splat(per_row),
             down: L::splat(down),
             step: L::splat(step),
         }
+    }
+
+    /// The plane's heights on a row, from the one in the first column.
+    #[inline(always)]
+    pub fn heights(start: f32, per_col: f32) -> L::F {
+        L::add(L::splat(start), L::mul(L::splat(per_col), L::to_f(L::ramp(0, 1))))
     }
 
     /// Shows the rows of heights to the visitor; returns whether that was all there is to look for.
@@ -268,6 +280,27 @@ impl<L: Lanes> Strip<L> {
             down = L::add(down, step);
         }
         false
+    }
+
+    /// The same together with the strip to the right, whose edge functions are so much larger and whose start is
+    /// given: one loop, so that its end is mistaken once.
+    #[inline(always)]
+    pub fn show_both<'h>(
+        self,
+        (beyond, right): ([L::I; 3], L::F),
+        heights: impl Iterator<Item = &'h [f32; 2 * LANES]>,
+        visitor: &mut impl Visitor<L>,
+    ) {
+        let Strip { edges, start, slope, mut down, step } = self;
+        let start = L::Pair::join(start, right);
+        let mut at = [0, 1, 2].map(|k| L::Pair::edge(edges[k].0, beyond[k]));
+        for heights in heights {
+            let on_row = L::mul(slope, down);
+            let error = L::Pair::load(heights).sub(start.add(L::Pair::join(on_row, on_row))).abs();
+            visitor.see_both(error.where_negative(L::Pair::either(at), -1.0));
+            at = [0, 1, 2].map(|k| L::Pair::step(at[k], edges[k].1));
+            down = L::add(down, step);
+        }
     }
 }
 

@@ -254,6 +254,7 @@ fn all_vectors_give_the_same_mesh() {
             quietly(|progress| refiner.run(&Image::Held(grid), &rule, 900, progress)).unwrap();
             (refiner.surface.mesh.points().to_vec(), triangle_set(&refiner.surface.mesh))
         };
-        assert_eq!(mesh(Vectors::Plain), mesh(Vectors::best()));
+        let plain = mesh(Vectors::Plain);
+        assert!(Vectors::all().all(|vectors| mesh(vectors) == plain));
     }
 }

@@ -1,11 +1,12 @@
-//! Lanes by AVX2.
+//! Lanes by AVX2, for machines with AVX-512, too.
 //!
 //! SAFETY of all that follows: the instructions are there, since only `Vectors::run` leads
 //! here; loads and stores go through references to arrays of the right length, or behind a
 //! comparison with the length.
 
-use super::{Kernel, Lanes, Part, LANES};
+use super::{Kernel, Lanes, Pair, Part, LANES};
 use std::arch::x86_64::*;
+use std::marker::PhantomData;
 
 #[target_feature(enable = "avx2,popcnt")]
 pub(super) unsafe fn run<K: Kernel>(kernel: K) -> K::Output {
@@ -18,8 +19,39 @@ unsafe fn run_part<W: Part<Avx2>>(part: W) -> W::Output {
     part.run()
 }
 
+/// Vectors of eight, and what two of them are.
 #[derive(Clone, Copy)]
-pub struct Avx2;
+pub struct Avx<W>(PhantomData<W>);
+
+pub type Avx2 = Avx<Two>;
+
+/// What the machine makes of two vectors.
+pub trait Width: Copy {
+    type Pair: Pair<Avx<Self>>;
+    /// The lanes of the mask at the front, and how many they are.
+    unsafe fn closed_up(mask: __m256, values: __m256) -> (__m256, usize);
+    /// As [`Lanes::apart`].
+    fn apart<P: Part<Avx<Self>>>(part: P) -> P::Output;
+}
+
+/// They stay two.
+#[derive(Clone, Copy)]
+pub struct Two;
+
+impl Width for Two {
+    type Pair = [__m256; 2];
+
+    #[inline(always)]
+    unsafe fn closed_up(mask: __m256, values: __m256) -> (__m256, usize) {
+        let bits = _mm256_movemask_ps(mask);
+        (_mm256_permutevar8x32_ps(values, to_front(bits)), bits.count_ones() as usize)
+    }
+
+    #[inline(always)]
+    fn apart<P: Part<Avx2>>(part: P) -> P::Output {
+        unsafe { run_part(part) }
+    }
+}
 
 /// By mask: the lanes to be moved to the front, a byte each.
 static FRONT: [u64; 1 << LANES] = {
@@ -47,10 +79,11 @@ unsafe fn to_front(mask: i32) -> __m256i {
     _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(FRONT[(mask & 255) as usize] as i64))
 }
 
-impl Lanes for Avx2 {
+impl<W: Width> Lanes for Avx<W> {
     type F = __m256;
     type I = __m256i;
     type D = Halves;
+    type Pair = W::Pair;
 
     #[inline(always)]
     fn splat(value: f32) -> Self::F {
@@ -250,10 +283,9 @@ impl Lanes for Avx2 {
             return 0;
         }
         unsafe {
-            let bits = _mm256_movemask_ps(mask);
-            let closed_up = _mm256_permutevar8x32_ps(values, to_front(bits));
+            let (closed_up, count) = W::closed_up(mask, values);
             _mm256_storeu_ps(into.as_mut_ptr().add(at), closed_up);
-            bits.count_ones() as usize
+            count
         }
     }
     #[inline(always)]
@@ -274,7 +306,7 @@ impl Lanes for Avx2 {
         unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(there).cast()) }
     }
     #[inline(always)]
-    fn apart<W: Part<Self>>(part: W) -> W::Output {
-        unsafe { run_part(part) }
+    fn apart<P: Part<Self>>(part: P) -> P::Output {
+        W::apart(part)
     }
 }

@@ -27,6 +27,7 @@ impl Lanes for Plain {
     type F = [f32; LANES];
     type I = [i32; LANES];
     type D = [f64; LANES];
+    type Pair = [Self::F; 2];
 
     #[inline(always)]
     fn splat(value: f32) -> Self::F {
