@@ -53,7 +53,7 @@ impl Kernel for Worst<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> f32 {
-        self.0.largest::<L>(self.1)
+        self.0.worst::<L>(self.1).error
     }
 }
 
@@ -64,7 +64,7 @@ impl Kernel for Collect<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> f32 {
-        self.0.collect::<L>(self.1, self.2)
+        self.0.collect::<L, false>(self.1, self.2).error
     }
 }
 

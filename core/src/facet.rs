@@ -9,8 +9,8 @@ use crate::lanes::{Kernel, Lanes, Part, Vectors, LANES};
 use crate::patch::Patch;
 use crate::predicate::{pixels_of, Point, SUB_BITS};
 use crate::scan::{Plane, Spans};
-use crate::scanned::{is_exact, Scan};
-use crate::walk::{Visitor, Walk};
+use crate::scanned::{is_exact, Found, Scan, Worst};
+use crate::walk::{Beside, Visitor, Walk};
 
 /// A triangle over a patch.
 #[derive(Clone, Copy)]
@@ -22,18 +22,9 @@ pub struct Facet {
     pub pixels: usize,
 }
 
-/// A pixel of a facet.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Found {
-    /// |z - plane|; -1 if there is no candidate.
-    pub error: f32,
-    /// In the heights of the patch.
-    pub place: usize,
-}
-
 impl Scan for Facet {
     #[inline(always)]
-    fn run<L: Lanes, V: Visitor<L>>(&self, patch: &Patch, visitor: V) -> V {
+    fn run<L: Lanes, V: Beside<L>>(&self, patch: &Patch, visitor: V) -> V {
         self.walk.run(patch, visitor)
     }
 
@@ -133,31 +124,22 @@ impl<L: Lanes> Visitor<L> for Sought<L> {
     }
 }
 
-/// Lane by lane the largest error up to a limit, with its places.
+/// The largest error up to a limit.
 struct Limited<L: Lanes> {
     limit: L::F,
-    error: L::F,
-    place: L::I,
-    /// Where the next errors lie.
-    next: L::I,
-    further: L::I,
+    worst: Worst<L, true>,
 }
 
 impl<L: Lanes> Visitor<L> for Limited<L> {
     #[inline(always)]
     fn move_to(&mut self, place: usize, further: usize) {
-        (self.next, self.further) = (L::ramp(place as i32, 1), L::splat_i(further as i32));
+        self.worst.move_to(place, further);
     }
 
     #[inline(always)]
     fn see(&mut self, error: L::F) -> bool {
         let is_beyond = L::greater(error, self.limit);
-        let error = L::choose(is_beyond, L::splat(-1.0), error);
-        let is_larger = L::greater(error, self.error);
-        self.error = L::choose(is_larger, error, self.error);
-        self.place = L::choose_i(is_larger, self.next, self.place);
-        self.next = L::add_i(self.next, self.further);
-        false
+        self.worst.see(L::choose(is_beyond, L::splat(-1.0), error))
     }
 }
 
@@ -188,12 +170,8 @@ impl<L: Lanes> Part<L> for WorstUpTo<'_> {
 
     #[inline(always)]
     fn run(self) -> Found {
-        let (none, first) = (L::splat(-1.0), L::splat_i(0));
-        let limit = L::splat(self.limit);
-        let limited = Limited::<L> { limit, error: none, place: first, next: first, further: first };
-        let limited = self.facet.walk.run(self.patch, limited);
-        let (error, place) = L::first_largest(limited.error, limited.place);
-        Found { error, place: place as usize }
+        let limited = Limited::<L> { limit: L::splat(self.limit), worst: Worst::default() };
+        self.facet.walk.run(self.patch, limited).worst.found()
     }
 }
 
@@ -206,25 +184,27 @@ mod tests {
     use crate::window::Window;
     use proptest::prelude::*;
 
-    struct Worst<'a>(&'a Facet, &'a Patch);
+    struct FindWorst<'a>(&'a Facet, &'a Patch);
 
-    impl Kernel for Worst<'_> {
-        type Output = f32;
+    impl Kernel for FindWorst<'_> {
+        type Output = Found;
 
         #[inline(always)]
-        fn run<L: Lanes>(self) -> f32 {
-            self.0.largest::<L>(self.1)
+        fn run<L: Lanes>(self) -> Found {
+            self.0.worst::<L>(self.1)
         }
     }
 
     struct Collect<'a>(&'a Facet, &'a Patch, &'a mut List);
 
     impl Kernel for Collect<'_> {
-        type Output = f32;
+        type Output = Found;
 
         #[inline(always)]
-        fn run<L: Lanes>(self) -> f32 {
-            self.0.collect::<L>(self.1, self.2)
+        fn run<L: Lanes>(self) -> Found {
+            let found = self.0.collect::<L, true>(self.1, self.2);
+            assert_eq!(self.0.collect::<L, false>(self.1, self.2).error, found.error);
+            found
         }
     }
 
@@ -259,15 +239,20 @@ mod tests {
             let expected = brute(&facet, &patch, 40);
             let largest = expected.iter().fold(-1.0f64, |a, b| a.max(b.1));
             let bound = facet.rounding(largest as f32);
+            let error_at = |place: usize| expected.iter().find(|e| e.0 as usize == place).unwrap().1;
             let (mut plain, mut best) = (List::default(), List::default());
             let found = Vectors::Plain.run(Collect(&facet, &patch, &mut plain));
-            let worst = Vectors::Plain.run(Worst(&facet, &patch));
+            let worst = Vectors::Plain.run(FindWorst(&facet, &patch));
             for vectors in Vectors::all() {
                 prop_assert_eq!(vectors.run(Collect(&facet, &patch, &mut best)), found);
                 prop_assert_eq!(plain.values(), best.values());
-                prop_assert_eq!(vectors.run(Worst(&facet, &patch)), worst);
+                prop_assert_eq!(vectors.run(FindWorst(&facet, &patch)), worst);
             }
             prop_assert_eq!((worst, plain.values().len()), (found, expected.len()));
+            if found.error >= 0.0 {
+                prop_assert!((f64::from(found.error) - error_at(found.place)).abs() <= bound);
+                prop_assert!((f64::from(found.error) - largest).abs() <= bound);
+            }
             let sorted = |mut errors: Vec<f64>| { errors.sort_by(f64::total_cmp); errors };
             let errors = sorted(plain.values().iter().map(|&error| error.into()).collect());
             for (error, expected) in errors.iter().zip(sorted(expected.iter().map(|e| e.1).collect())) {
@@ -277,19 +262,18 @@ mod tests {
                 let found = facet.worst_up_to(error, &patch, Vectors::Plain);
                 prop_assert!(Vectors::all().all(|vectors| facet.worst_up_to(error, &patch, vectors) == found));
                 prop_assert_eq!(found.error, error);
-                let there = expected.iter().find(|e| e.0 as usize == found.place).unwrap().1;
-                prop_assert!((f64::from(error) - there).abs() <= bound);
+                prop_assert!((f64::from(error) - error_at(found.place)).abs() <= bound);
             }
             if let Some(sample) = facet.sampled(16) {
                 let found = Vectors::Plain.run(Collect(&sample, &patch, &mut plain));
                 for vectors in Vectors::all() {
                     prop_assert_eq!(vectors.run(Collect(&sample, &patch, &mut best)), found);
                     prop_assert_eq!(plain.values(), best.values());
-                    prop_assert_eq!(vectors.run(Worst(&sample, &patch)), found);
+                    prop_assert_eq!(vectors.run(FindWorst(&sample, &patch)), found);
                 }
                 let of_all = |error: f32| expected.iter().any(|e| (f64::from(error) - e.1).abs() <= bound);
                 prop_assert!(plain.values().iter().all(|&error| of_all(error)));
-                prop_assert_eq!(facet.worst_up_to(found, &patch, Vectors::best()).error, found);
+                prop_assert_eq!(facet.worst_up_to(found.error, &patch, Vectors::best()).error, found.error);
             }
         }
     }

@@ -6,7 +6,7 @@ use crate::lanes::{Lanes, LANES};
 use crate::patch::Patch;
 use crate::predicate::{Point, SUB_BITS, UNIT};
 use crate::scanned::{is_exact, Scan};
-use crate::walk::{Strip, Visitor, MAX_SIDE, NARROW};
+use crate::walk::{Beside, Strip, MAX_SIDE, NARROW};
 
 type Ints = [i32; LANES];
 type Doubles = [f64; LANES];
@@ -169,10 +169,11 @@ pub struct Narrow<'a> {
 
 impl Scan for Narrow<'_> {
     #[inline(always)]
-    fn run<L: Lanes, V: Visitor<L>>(&self, patch: &Patch, mut visitor: V) -> V {
+    fn run<L: Lanes, V: Beside<L>>(&self, patch: &Patch, mut visitor: V) -> V {
         let Narrow { facets: Facets { ready, .. }, i } = *self;
         let at = ready.top[i] as usize * patch.stride() + ready.left[i] as usize;
         let rows = (ready.rows[i] + 1) as usize;
+        visitor.move_to(at, patch.stride());
         let slopes = [ready.per_col[i], ready.per_row[i]].map(|v| v as f32);
         let edges = [0, 1, 2].map(|k| {
             let across = ready.across[k][i];
@@ -225,6 +226,7 @@ mod tests {
     use crate::lanes::{Kernel, Vectors};
     use crate::list::List;
     use crate::predicate::orient2d;
+    use crate::scanned::Found;
     use crate::window::Window;
     use proptest::prelude::*;
 
@@ -238,7 +240,7 @@ mod tests {
     struct Both<'a>(&'a mut Facets, &'a Patch);
 
     impl Kernel for Both<'_> {
-        type Output = Vec<[(Vec<f32>, f32, f64, bool, usize); 2]>;
+        type Output = Vec<[(Vec<f32>, Option<Found>, f64, bool, usize); 2]>;
 
         #[inline(always)]
         fn run<L: Lanes>(self) -> Self::Output {
@@ -247,11 +249,15 @@ mod tests {
             let all = (0..facets.count()).filter_map(|i| {
                 let (facet, narrow) = (facets.facet(patch, i), facets.narrow(i)?);
                 let (mut a, mut b) = (List::default(), List::default());
-                let largest = [facet.collect::<L>(patch, &mut a), narrow.collect::<L>(patch, &mut b)];
-                assert_eq!(largest, [facet.largest::<L>(patch), narrow.largest::<L>(patch)]);
+                let if_any = |found: Found| (found.error >= 0.0).then_some(found);
+                let worst =
+                    [facet.collect::<L, true>(patch, &mut a), narrow.collect::<L, true>(patch, &mut b)];
+                assert_eq!(worst[1].error, narrow.collect::<L, false>(patch, &mut b).error);
+                let worst = worst.map(if_any);
+                assert_eq!(worst, [facet.worst::<L>(patch), narrow.worst::<L>(patch)].map(if_any));
                 Some([
-                    (sorted(&a), largest[0], facet.highest(), facet.is_exact(), facet.first(patch)),
-                    (sorted(&b), largest[1], narrow.highest(), narrow.is_exact(), narrow.first(patch)),
+                    (sorted(&a), worst[0], facet.highest(), facet.is_exact(), facet.first(patch)),
+                    (sorted(&b), worst[1], narrow.highest(), narrow.is_exact(), narrow.first(patch)),
                 ])
             });
             all.collect()

@@ -66,6 +66,13 @@ pub trait Lanes: Copy {
     /// The larger of two, `b` where `a` is no number.
     fn max(a: Self::F, b: Self::F) -> Self::F;
     fn largest(values: Self::F) -> f32;
+    /// Lane by lane the larger of two and the number that goes with it, the first of two alike and where the second is
+    /// no number.
+    #[inline(always)]
+    fn larger(best: (Self::F, Self::I), other: (Self::F, Self::I)) -> (Self::F, Self::I) {
+        let is_larger = Self::greater(other.0, best.0);
+        (Self::choose(is_larger, other.0, best.0), Self::choose_i(is_larger, other.1, best.1))
+    }
     /// The smaller of two, `b` where `a` is no number.
     fn min(a: Self::F, b: Self::F) -> Self::F;
     /// The sums over the lanes of each.
@@ -92,6 +99,8 @@ pub trait Pair<L: Lanes>: Copy {
     type Edge: Copy;
     /// Numbers of which the signs count.
     type Sign: Copy;
+    /// Two vectors of `i32`, whatever these are.
+    type Places: Copy;
 
     fn join(left: L::F, right: L::F) -> Self;
     fn edge(left: L::I, beyond: L::I) -> Self::Edge;
@@ -100,6 +109,10 @@ pub trait Pair<L: Lanes>: Copy {
     /// Negative where one of the edges is.
     fn either(edges: [Self::Edge; 3]) -> Self::Sign;
     fn halves(self) -> [L::F; 2];
+    fn places(edge: Self::Edge) -> Self::Places;
+    fn half_places(places: Self::Places) -> [L::I; 2];
+    /// As [`Lanes::larger`].
+    fn larger(best: (Self, Self::Places), errors: Self, at: Self::Edge) -> (Self, Self::Places);
     fn load(from: &[f32; 2 * LANES]) -> Self;
     fn add(self, other: Self) -> Self;
     fn sub(self, other: Self) -> Self;
@@ -114,6 +127,7 @@ impl<L: Lanes> Pair<L> for [L::F; 2] {
     /// The left vector and what the right one is larger by: fewer to keep at hand.
     type Edge = [L::I; 2];
     type Sign = [L::I; 2];
+    type Places = [L::I; 2];
 
     #[inline(always)]
     fn join(left: L::F, right: L::F) -> Self {
@@ -135,6 +149,21 @@ impl<L: Lanes> Pair<L> for [L::F; 2] {
     #[inline(always)]
     fn halves(self) -> [L::F; 2] {
         self
+    }
+    #[inline(always)]
+    fn places([left, beyond]: Self::Edge) -> Self::Places {
+        [left, L::add_i(left, beyond)]
+    }
+    #[inline(always)]
+    fn half_places(places: Self::Places) -> [L::I; 2] {
+        places
+    }
+    #[inline(always)]
+    fn larger((best, places): (Self, Self::Places), errors: Self, at: Self::Edge) -> (Self, Self::Places) {
+        let at = <Self as Pair<L>>::places(at);
+        let left = L::larger((best[0], places[0]), (errors[0], at[0]));
+        let right = L::larger((best[1], places[1]), (errors[1], at[1]));
+        ([left.0, right.0], [left.1, right.1])
     }
     #[inline(always)]
     fn load(from: &[f32; 2 * LANES]) -> Self {

@@ -9,7 +9,7 @@ use crate::list::List;
 use crate::patch::Patch;
 use crate::queue::Pick;
 use crate::rule::{quantile_index, Rule};
-use crate::scanned::Scan;
+use crate::scanned::{Found, Scan};
 use crate::select::Selector;
 
 /// An error found in single precision says which pixel is the worst if it is this many
@@ -86,18 +86,20 @@ impl Ranker {
         facets: &mut Facets,
         mut each: impl FnMut(usize, Ranked),
     ) -> usize {
-        let (standings, work) = self.vectors.run(Look { ranker: self, patch, rule, facets });
-        for (i, standing) in standings.into_iter().enumerate().take(facets.count()) {
-            let ranked = match standing {
-                Standing::Within => None,
-                Standing::Beyond(ranked) => Some(ranked),
-                Standing::Unclear => exactly(&facets.facet(patch, i), patch, view, rule),
-            };
-            if let Some(ranked) = ranked {
+        let (vectors, ranker) = (self.vectors, self);
+        let looked = match (rule.is_max(), rule.candidate == 1.0) {
+            (true, _) => vectors.run(Look::<_, WORST> { ranker, patch, rule, facets, each: &mut each }),
+            (_, true) => {
+                vectors.run(Look::<_, INSERT_WORST> { ranker, patch, rule, facets, each: &mut each })
+            }
+            _ => vectors.run(Look::<_, QUANTILES> { ranker, patch, rule, facets, each: &mut each }),
+        };
+        for i in (0..facets.count()).filter(|i| looked.unclear >> i & 1 != 0) {
+            if let Some(ranked) = exactly(&facets.facet(patch, i), patch, view, rule) {
                 each(i, ranked);
             }
         }
-        work
+        looked.work
     }
 
     /// The pixel where the scan found this error.
@@ -107,23 +109,41 @@ impl Ranker {
         found.unwrap_or_else(|| facet.worst_up_to(error, patch, self.vectors)).place
     }
 
-    /// Garland and Heckbert's rule: the worst pixel, nothing else.
     #[inline(always)]
-    fn rank_by_worst<L: Lanes>(patch: &Patch, rule: &Rule, facet: &impl Scan) -> Standing {
-        let worst = facet.largest::<L>(patch);
-        match verdict(patch, facet, worst, rule.tolerance) {
-            Verdict::Within => Standing::Within,
-            Verdict::Unclear => Standing::Unclear,
-            Verdict::Beyond => {
-                let (place, pick) = (facet.first(patch), Pick::by_error(worst));
-                Standing::Beyond(Ranked { priority: worst.into(), place, pick })
-            }
+    fn rank_by<L: Lanes, const RULE: u8>(
+        &mut self,
+        patch: &Patch,
+        rule: &Rule,
+        facet: &impl Scan,
+    ) -> Standing {
+        match RULE {
+            WORST => Ranker::rank_by_worst::<L>(patch, rule, facet),
+            INSERT_WORST => self.rank_by_quantiles::<L, true>(patch, rule, facet),
+            _ => self.rank_by_quantiles::<L, false>(patch, rule, facet),
         }
     }
 
+    /// Garland and Heckbert's rule: the worst pixel, nothing else.
     #[inline(always)]
-    fn rank_by_quantiles<L: Lanes>(&mut self, patch: &Patch, rule: &Rule, facet: &impl Scan) -> Standing {
-        let worst = facet.collect::<L>(patch, &mut self.memory.errors);
+    fn rank_by_worst<L: Lanes>(patch: &Patch, rule: &Rule, facet: &impl Scan) -> Standing {
+        let Found { error, place } = facet.worst::<L>(patch);
+        match verdict(patch, facet, error, rule.tolerance) {
+            Verdict::Within => Standing::Within,
+            Verdict::Unclear => Standing::Unclear,
+            Verdict::Beyond => Standing::Beyond(Ranked { priority: error.into(), place, pick: Pick::KNOWN }),
+        }
+    }
+
+    /// `PLACED`: the pixel to insert is the worst one.
+    #[inline(always)]
+    fn rank_by_quantiles<L: Lanes, const PLACED: bool>(
+        &mut self,
+        patch: &Patch,
+        rule: &Rule,
+        facet: &impl Scan,
+    ) -> Standing {
+        let found = facet.collect::<L, PLACED>(patch, &mut self.memory.errors);
+        let worst = found.error;
         // The maximum bounds every quantile; what fits exactly needs no point.
         match verdict(patch, facet, worst, rule.tolerance) {
             Verdict::Within => return Standing::Within,
@@ -146,55 +166,72 @@ impl Ranker {
                 Verdict::Unclear => return Standing::Unclear,
             }
         }
-        let at = quantile(rule.candidate);
+        let (place, pick) = if PLACED {
+            (found.place, Pick::KNOWN)
+        } else {
+            (facet.first(patch), Pick::by_error(quantile(rule.candidate)))
+        };
         let ranked = quantile(rule.priority);
         let pixels = (count * facet.thinning()) as f64;
         let priority = rule.priority_of(f64::from(ranked), f64::from(worst), pixels);
-        Standing::Beyond(Ranked { priority, place: facet.first(patch), pick: Pick::by_error(at) })
+        Standing::Beyond(Ranked { priority, place, pick })
     }
 }
 
-/// Looks at some triangles.
-struct Look<'a> {
+/// Kinds of rules, each with a kernel of its own: the worst pixel, nothing else;
+const WORST: u8 = 0;
+/// a quantile ranks, the worst pixel is inserted;
+const INSERT_WORST: u8 = 1;
+/// any quantiles.
+const QUANTILES: u8 = 2;
+
+/// Looks at some triangles, and gives `each` that is beyond the tolerance.
+struct Look<'a, F, const RULE: u8> {
     ranker: &'a mut Ranker,
     patch: &'a Patch,
     rule: &'a Rule,
     facets: &'a mut Facets,
+    each: &'a mut F,
 }
 
-impl Kernel for Look<'_> {
-    type Output = ([Standing; LANES], usize);
+/// Which triangles rounding could decide, a bit each, and the work done in pixels.
+struct Looked {
+    unclear: u32,
+    work: usize,
+}
+
+impl<F: FnMut(usize, Ranked), const RULE: u8> Kernel for Look<'_, F, RULE> {
+    type Output = Looked;
 
     #[inline(always)]
-    fn run<L: Lanes>(self) -> ([Standing; LANES], usize) {
-        let Look { ranker, patch, rule, facets } = self;
-        let mut standings = [const { Standing::Within }; LANES];
-        let is_max = rule.is_max();
+    fn run<L: Lanes>(self) -> Looked {
+        let Look { ranker, patch, rule, facets, each } = self;
         facets.make_ready::<L>(patch);
-        let mut work = 0;
-        for (i, standing) in standings.iter_mut().enumerate().take(facets.count()) {
-            *standing = match facets.narrow(i) {
+        let mut looked = Looked { unclear: 0, work: 0 };
+        for i in 0..facets.count().min(LANES) {
+            let standing = match facets.narrow(i) {
                 Some(facet) => {
-                    work += facet.room();
-                    if is_max {
-                        Ranker::rank_by_worst::<L>(patch, rule, &facet)
-                    } else {
-                        ranker.rank_by_quantiles::<L>(patch, rule, &facet)
-                    }
+                    looked.work += facet.room();
+                    ranker.rank_by::<L, RULE>(patch, rule, &facet)
                 }
                 None => {
-                    let (standing, pixels) = L::apart(Large { ranker, patch, rule, facets, i });
-                    work += pixels;
+                    let (standing, pixels) = L::apart(Large::<RULE> { ranker, patch, rule, facets, i });
+                    looked.work += pixels;
                     standing
                 }
             };
+            match standing {
+                Standing::Within => {}
+                Standing::Beyond(ranked) => each(i, ranked),
+                Standing::Unclear => looked.unclear |= 1 << i,
+            }
         }
-        (standings, work)
+        looked
     }
 }
 
 /// Looks at one that is wide or high.
-struct Large<'a> {
+struct Large<'a, const RULE: u8> {
     ranker: &'a mut Ranker,
     patch: &'a Patch,
     rule: &'a Rule,
@@ -202,7 +239,7 @@ struct Large<'a> {
     i: usize,
 }
 
-impl<L: Lanes> Part<L> for Large<'_> {
+impl<L: Lanes, const RULE: u8> Part<L> for Large<'_, RULE> {
     type Output = (Standing, usize);
 
     #[inline(always)]
@@ -212,11 +249,7 @@ impl<L: Lanes> Part<L> for Large<'_> {
         let sample = ranker.sample(&facet).map(|sample| (sample, SAMPLE));
         let (mut standing, mut work) = (Standing::Within, 0);
         for (facet, pixels) in sample.into_iter().chain([(facet, facet.pixels)]) {
-            standing = if rule.is_max() {
-                Ranker::rank_by_worst::<L>(patch, rule, &facet)
-            } else {
-                ranker.rank_by_quantiles::<L>(patch, rule, &facet)
-            };
+            standing = ranker.rank_by::<L, RULE>(patch, rule, &facet);
             work += pixels;
             if matches!(standing, Standing::Beyond(_)) {
                 break;

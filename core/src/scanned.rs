@@ -1,9 +1,9 @@
 //! What is asked of a triangle's errors while it is ranked.
 
-use crate::lanes::{Lanes, Pair};
+use crate::lanes::{Lanes, Pair, LANES};
 use crate::list::List;
 use crate::patch::Patch;
-use crate::walk::Visitor;
+use crate::walk::{Beside, Visitor};
 
 /// What single precision may be off, as a part of the heights involved (sixteen times
 /// half a unit in the last place, of less than eight roundings).
@@ -18,7 +18,7 @@ const TINY: f64 = 1e-36;
 /// A triangle that can be scanned.
 pub trait Scan {
     /// Shows its pixels to the visitor, and gives it back.
-    fn run<L: Lanes, V: Visitor<L>>(&self, patch: &Patch, visitor: V) -> V;
+    fn run<L: Lanes, V: Beside<L>>(&self, patch: &Patch, visitor: V) -> V;
 
     /// How many pixels and others beside them are visited at most.
     fn room(&self) -> usize;
@@ -47,20 +47,20 @@ pub trait Scan {
         self.highest() + patch.largest() < RANGE
     }
 
-    /// The largest error, -1 if there is no candidate.
+    /// The pixel with the largest error, of several always the same one.
     #[inline(always)]
-    fn largest<L: Lanes>(&self, patch: &Patch) -> f32 {
-        L::largest(self.run(patch, Largest::<L>(L::splat(-1.0))).0)
+    fn worst<L: Lanes>(&self, patch: &Patch) -> Found {
+        self.run(patch, Worst::<L, true>::default()).found()
     }
 
-    /// Collects all errors and returns the largest, -1 if there is no candidate.
+    /// Collects all errors; returns the largest, where `PLACED` with its place.
     #[inline(always)]
-    fn collect<L: Lanes>(&self, patch: &Patch, errors: &mut List) -> f32 {
+    fn collect<L: Lanes, const PLACED: bool>(&self, patch: &Patch, errors: &mut List) -> Found {
         let values = errors.start(self.room());
-        let collector = Collector::<L> { largest: L::splat(-1.0), values, count: 0 };
-        let Collector { largest, count, .. } = self.run(patch, collector);
+        let collector = Collector::<L, PLACED> { worst: Worst::default(), values, count: 0 };
+        let Collector { worst, count, .. } = self.run(patch, collector);
         errors.end(count);
-        L::largest(largest)
+        worst.found()
     }
 }
 
@@ -70,42 +70,136 @@ pub fn is_exact(per_col: f64, per_row: f64, z0: f64) -> bool {
     per_col == 0.0 && per_row == 0.0 && f64::from(z0 as f32) == z0
 }
 
-/// Lane by lane the largest error so far.
-struct Largest<L: Lanes>(L::F);
+/// A pixel of a triangle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Found {
+    /// |z - plane|; -1 if there is no candidate.
+    pub error: f32,
+    /// In the heights of the patch; without meaning if there is none.
+    pub place: usize,
+}
 
-impl<L: Lanes> Visitor<L> for Largest<L> {
-    #[inline(always)]
-    fn see(&mut self, error: L::F) -> bool {
-        self.0 = L::max(error, self.0);
-        false
-    }
+/// Lane by lane the largest error so far, and if it is to be `PLACED` where it lies.
+pub struct Worst<L: Lanes, const PLACED: bool> {
+    error: L::F,
+    place: L::I,
+    /// Where the next errors lie, and those after them from there.
+    next: L::I,
+    further: L::I,
+}
 
+impl<L: Lanes, const PLACED: bool> Default for Worst<L, PLACED> {
     #[inline(always)]
-    fn see_both(&mut self, errors: L::Pair) {
-        let [left, right] = errors.halves();
-        self.0 = L::max(right, L::max(left, self.0));
+    fn default() -> Self {
+        let first = L::splat_i(0);
+        Worst { error: L::splat(-1.0), place: first, next: first, further: first }
     }
 }
 
-struct Collector<'a, L: Lanes> {
-    largest: L::F,
+impl<L: Lanes, const PLACED: bool> Worst<L, PLACED> {
+    #[inline(always)]
+    pub fn found(&self) -> Found {
+        if PLACED {
+            let (error, place) = L::first_largest(self.error, self.place);
+            Found { error, place: place as usize }
+        } else {
+            Found { error: L::largest(self.error), place: 0 }
+        }
+    }
+}
+
+impl<L: Lanes, const PLACED: bool> Visitor<L> for Worst<L, PLACED> {
+    #[inline(always)]
+    fn move_to(&mut self, place: usize, further: usize) {
+        if PLACED {
+            (self.next, self.further) = (L::ramp(place as i32, 1), L::splat_i(further as i32));
+        }
+    }
+
+    #[inline(always)]
+    fn see(&mut self, error: L::F) -> bool {
+        if PLACED {
+            (self.error, self.place) = L::larger((self.error, self.place), (error, self.next));
+            self.next = L::add_i(self.next, self.further);
+        } else {
+            self.error = L::max(error, self.error);
+        }
+        false
+    }
+}
+
+/// The largest of two strips side by side.
+pub struct WorstOfBoth<L: Lanes> {
+    error: L::Pair,
+    place: <L::Pair as Pair<L>>::Places,
+    next: <L::Pair as Pair<L>>::Edge,
+}
+
+impl<L: Lanes, const PLACED: bool> Beside<L> for Worst<L, PLACED> {
+    type Both = WorstOfBoth<L>;
+
+    #[inline(always)]
+    fn both(&self) -> WorstOfBoth<L> {
+        let next = L::Pair::edge(self.next, L::splat_i(LANES as i32));
+        WorstOfBoth { error: L::Pair::join(self.error, self.error), place: L::Pair::places(next), next }
+    }
+
+    #[inline(always)]
+    fn see_both(&mut self, both: &mut WorstOfBoth<L>, errors: L::Pair) {
+        if PLACED {
+            (both.error, both.place) = L::Pair::larger((both.error, both.place), errors, both.next);
+            both.next = L::Pair::step(both.next, self.further);
+        } else {
+            let [left, right] = errors.halves();
+            self.error = L::max(right, L::max(left, self.error));
+        }
+    }
+
+    #[inline(always)]
+    fn end_both(&mut self, WorstOfBoth { error, place, .. }: WorstOfBoth<L>) {
+        if PLACED {
+            let ([left, right], [at, beside]) = (error.halves(), L::Pair::half_places(place));
+            (self.error, self.place) = L::larger((left, at), (right, beside));
+        }
+    }
+}
+
+struct Collector<'a, L: Lanes, const PLACED: bool> {
+    worst: Worst<L, PLACED>,
     /// With room for all.
     values: &'a mut [f32],
     count: usize,
 }
 
-impl<L: Lanes> Visitor<L> for Collector<'_, L> {
+impl<L: Lanes, const PLACED: bool> Visitor<L> for Collector<'_, L, PLACED> {
     #[inline(always)]
-    fn see(&mut self, error: L::F) -> bool {
-        self.largest = L::max(error, self.largest);
-        self.count += L::compress(L::greater(error, L::splat(-0.5)), error, self.values, self.count);
-        false
+    fn move_to(&mut self, place: usize, further: usize) {
+        self.worst.move_to(place, further);
     }
 
     #[inline(always)]
-    fn see_both(&mut self, errors: L::Pair) {
-        let [left, right] = errors.halves();
-        self.largest = L::max(right, L::max(left, self.largest));
+    fn see(&mut self, error: L::F) -> bool {
+        self.count += L::compress(L::greater(error, L::splat(-0.5)), error, self.values, self.count);
+        self.worst.see(error)
+    }
+}
+
+impl<L: Lanes, const PLACED: bool> Beside<L> for Collector<'_, L, PLACED> {
+    type Both = WorstOfBoth<L>;
+
+    #[inline(always)]
+    fn both(&self) -> WorstOfBoth<L> {
+        self.worst.both()
+    }
+
+    #[inline(always)]
+    fn see_both(&mut self, both: &mut WorstOfBoth<L>, errors: L::Pair) {
         self.count += errors.compress(-0.5, self.values, self.count);
+        self.worst.see_both(both, errors);
+    }
+
+    #[inline(always)]
+    fn end_both(&mut self, both: WorstOfBoth<L>) {
+        self.worst.end_both(both);
     }
 }

@@ -40,13 +40,21 @@ pub trait Visitor<L: Lanes> {
     /// Eight errors; one is -1 beside the triangle and NaN where there is no candidate.
     /// Returns whether that was all there is to look for.
     fn see(&mut self, error: L::F) -> bool;
+}
 
-    /// Twice eight errors likewise, where all are looked at.
-    fn see_both(&mut self, errors: L::Pair) {
-        for error in errors.halves() {
-            self.see(error);
-        }
-    }
+/// One that looks at all errors, also at twice eight a time.
+pub trait Beside<L: Lanes>: Visitor<L> {
+    /// What has been seen of two strips side by side.
+    type Both;
+
+    /// Before any.
+    fn both(&self) -> Self::Both;
+
+    /// Twice eight errors as in [`Visitor::see`].
+    fn see_both(&mut self, both: &mut Self::Both, errors: L::Pair);
+
+    /// Takes in what has been seen.
+    fn end_both(&mut self, both: Self::Both);
 }
 
 impl Walk {
@@ -289,18 +297,20 @@ impl<L: Lanes> Strip<L> {
         self,
         (beyond, right): ([L::I; 3], L::F),
         heights: impl Iterator<Item = &'h [f32; 2 * LANES]>,
-        visitor: &mut impl Visitor<L>,
+        visitor: &mut impl Beside<L>,
     ) {
         let Strip { edges, start, slope, mut down, step } = self;
+        let mut both = visitor.both();
         let start = L::Pair::join(start, right);
         let mut at = [0, 1, 2].map(|k| L::Pair::edge(edges[k].0, beyond[k]));
         for heights in heights {
             let on_row = L::mul(slope, down);
             let error = L::Pair::load(heights).sub(start.add(L::Pair::join(on_row, on_row))).abs();
-            visitor.see_both(error.where_negative(L::Pair::either(at), -1.0));
+            visitor.see_both(&mut both, error.where_negative(L::Pair::either(at), -1.0));
             at = [0, 1, 2].map(|k| L::Pair::step(at[k], edges[k].1));
             down = L::add(down, step);
         }
+        visitor.end_both(both);
     }
 }
 

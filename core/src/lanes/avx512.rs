@@ -46,6 +46,7 @@ unsafe fn both(left: __m256i, right: __m256i) -> __m512i {
 impl Pair<Avx512> for __m512 {
     type Edge = __m512i;
     type Sign = __m512i;
+    type Places = __m512i;
 
     #[inline(always)]
     fn join(left: __m256, right: __m256) -> Self {
@@ -71,6 +72,21 @@ impl Pair<Avx512> for __m512 {
         unsafe {
             let right = _mm512_extractf64x4_pd::<1>(_mm512_castps_pd(self));
             [_mm512_castps512_ps256(self), _mm256_castpd_ps(right)]
+        }
+    }
+    #[inline(always)]
+    fn places(edge: __m512i) -> __m512i {
+        edge
+    }
+    #[inline(always)]
+    fn half_places(places: __m512i) -> [__m256i; 2] {
+        unsafe { [_mm512_castsi512_si256(places), _mm512_extracti64x4_epi64::<1>(places)] }
+    }
+    #[inline(always)]
+    fn larger((best, places): (Self, __m512i), errors: Self, at: __m512i) -> (Self, __m512i) {
+        unsafe {
+            let is_larger = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(errors, best);
+            (_mm512_mask_mov_ps(best, is_larger, errors), _mm512_mask_mov_epi32(places, is_larger, at))
         }
     }
     #[inline(always)]
