@@ -111,7 +111,7 @@ pub enum Order {
 
 /// Any order is exact where a bucket holds more than this share of the points that may still be
 /// inserted, so that a stop by count does not favour one corner.
-const LAST_SHARE: usize = 4;
+const LAST_SHARE: usize = 1;
 
 impl Queue {
     pub fn new(order: Order) -> Self {
@@ -216,10 +216,18 @@ impl Queue {
         !self.is_heap
     }
 
-    /// The next that `is_current` accepts of an open bucket in a rough order; stale ones are dropped.
+    /// The next over the level that `is_current` accepts of an open bucket in a rough order; stale ones are dropped.
     #[inline]
-    pub fn pop_rough(&mut self, is_current: impl Fn(&Candidate) -> bool) -> Option<Candidate> {
-        std::iter::from_fn(|| self.batch.pop()).find(is_current)
+    pub fn pop_rough(&mut self, level: f64, is_current: impl Fn(&Candidate) -> bool) -> Option<Candidate> {
+        while let Some(candidate) = self.batch.pop() {
+            if is_current(&candidate) {
+                if candidate.priority > level {
+                    return Some(candidate);
+                }
+                self.heap.push(candidate);
+            }
+        }
+        None
     }
 
     /// Opens what is parked in the bucket of the first of the heap or in a higher one.
@@ -294,6 +302,9 @@ impl Queue {
         is_current: impl Fn(&Candidate) -> bool,
     ) -> Option<Candidate> {
         loop {
+            if let Some(candidate) = self.pop_rough(level, &is_current) {
+                return Some(candidate);
+            }
             while let Some(candidate) = self.next() {
                 if is_current(&candidate) {
                     if candidate.priority > level {
@@ -305,8 +316,7 @@ impl Queue {
             }
             let mut bucket = self.next_bucket()?;
             bucket.retain(&is_current);
-            let is_whole = self.floor() > level && bucket.len() < remaining / LAST_SHARE;
-            self.is_heap = !is_whole || self.order == Order::Exact;
+            self.is_heap = self.order == Order::Exact || bucket.len() >= remaining / LAST_SHARE;
             if self.is_heap {
                 self.heap = BinaryHeap::from(bucket);
                 continue;
@@ -316,14 +326,6 @@ impl Queue {
                 bucket.sort_by_cached_key(|c| (Reverse(position(c.pixel)), c.triangle));
             }
             self.batch = bucket;
-        }
-    }
-
-    /// No priority in the open bucket is lower.
-    fn floor(&self) -> f64 {
-        match self.level {
-            0 => 0.0,
-            level => f64::from_bits(((self.lowest.unwrap_or(0) + level) as u64) << BUCKET_SHIFT),
         }
     }
 }

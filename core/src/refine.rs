@@ -211,7 +211,7 @@ impl Refiner {
             let (best, scanned) = self.next(view, patch, rule, goal);
             let Some(best) = best else { return Ok(Reached::Level) };
             if best.pick == Pick::RESCAN {
-                let work = self.enqueue([best.triangle], view, patch, rule);
+                let work = self.scan_again(&best, view, patch, rule);
                 progress.poll(scanned + work, || 0.0)?;
                 continue;
             }
@@ -240,7 +240,8 @@ impl Refiner {
     ) -> (Option<Candidate>, usize) {
         if self.changed.len() < CHANGED {
             let mesh = &self.surface.mesh;
-            if let Some(best) = self.queue.pop_rough(|c| mesh.triangle(c.triangle).version == c.version) {
+            let is_current = |c: &Candidate| mesh.triangle(c.triangle).version == c.version;
+            if let Some(best) = self.queue.pop_rough(goal.level, is_current) {
                 return (Some(best), 0);
             }
         }
@@ -289,6 +290,15 @@ impl Refiner {
         let corners: Vec<Point> = self.around.iter().flat_map(|&t| mesh.corners(t)).collect();
         show(view, patch, &corners)?;
         Ok(self.enqueue_around(view, patch, rule))
+    }
+
+    /// Scans a triangle that waits for that, in a rough order later. Returns the work done in pixels.
+    fn scan_again<T: Height>(&mut self, best: &Candidate, view: &View<T>, patch: &Patch, rule: &Rule) -> usize {
+        if !self.queue.is_rough() {
+            return self.enqueue([best.triangle], view, patch, rule);
+        }
+        self.changed.push((best.triangle, best.version));
+        1
     }
 
     /// Inserts the pixel and queues the triangles around it, in a rough order later. Returns the work done in pixels.
