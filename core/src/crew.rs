@@ -187,7 +187,7 @@ impl Tile {
 
     /// Whether it could go on.
     pub fn is_waiting(&self) -> bool {
-        self.refiner.waiting().iter().any(|&(priority, _)| priority > 0.0)
+        self.refiner.is_waiting()
     }
 
     /// The heights of the tile, after its new seam vertices have been inserted.

@@ -152,7 +152,8 @@ impl<'t> Ladder<'t> {
         if has_scouts && !self.crew.tiles.iter().any(Tile::has_queue) {
             self.crew.queue(aim, Party::Scouts, false, progress)?;
         }
-        if !has_scouts || !self.crew.tiles.iter().any(Tile::is_waiting) {
+        // What waits from the image before tells of this one, too.
+        if !self.crew.tiles.iter().any(Tile::is_waiting) {
             self.crew.queue(aim, Party::All, false, progress)?;
         }
         let mut outlook = self.outlook.take().unwrap_or_else(|| Outlook::new(aim.rule));

@@ -155,7 +155,7 @@ impl Refiner {
         self.enqueue_those(&all, view, patch, rule, progress)
     }
 
-    /// After [`Refiner::start`] on another image: has the triangles in the queue scanned again
+    /// After [`Refiner::start`] on another image, and parked: has the triangles in the queue scanned again
     /// when it is their turn, and queues the others.
     pub fn start_again<T: Height>(
         &mut self,
@@ -164,7 +164,6 @@ impl Refiner {
         rule: &Rule,
         progress: &mut Progress,
     ) -> Result<()> {
-        self.park();
         let mut is_new = vec![true; self.surface.mesh.triangles().len()];
         self.queue.rescan(|c| is_new[c.triangle as usize] = false);
         self.enqueue_those(&is_new, view, patch, rule, progress)
@@ -254,6 +253,11 @@ impl Refiner {
     /// How many candidates wait at about which priority, once they are parked.
     pub fn waiting(&self) -> Vec<(f64, usize)> {
         self.queue.waiting()
+    }
+
+    /// Whether any of them has a priority over 0.
+    pub fn is_waiting(&self) -> bool {
+        self.queue.is_waiting()
     }
 
     /// Has what is queued wait in no more memory than it needs.
