@@ -97,37 +97,40 @@ pub trait Lanes: Copy {
 pub trait Pair<L: Lanes>: Copy {
     /// Two vectors of `i32`, the right one so much larger than the left one.
     type Edge: Copy;
-    /// Numbers of which the signs count.
-    type Sign: Copy;
     /// Two vectors of `i32`, whatever these are.
-    type Places: Copy;
+    type Ints: Copy;
 
     fn join(left: L::F, right: L::F) -> Self;
     fn edge(left: L::I, beyond: L::I) -> Self::Edge;
     /// The same added to both.
     fn step(edge: Self::Edge, by: L::I) -> Self::Edge;
     /// Negative where one of the edges is.
-    fn either(edges: [Self::Edge; 3]) -> Self::Sign;
+    fn either(edges: [Self::Edge; 3]) -> Self::Ints;
     fn halves(self) -> [L::F; 2];
-    fn places(edge: Self::Edge) -> Self::Places;
-    fn half_places(places: Self::Places) -> [L::I; 2];
+    fn ints(edge: Self::Edge) -> Self::Ints;
+    fn half_ints(ints: Self::Ints) -> [L::I; 2];
     /// As [`Lanes::larger`].
-    fn larger(best: (Self, Self::Places), errors: Self, at: Self::Edge) -> (Self, Self::Places);
+    fn larger(best: (Self, Self::Ints), errors: Self, at: Self::Edge) -> (Self, Self::Ints);
     fn load(from: &[f32; 2 * LANES]) -> Self;
     fn add(self, other: Self) -> Self;
     fn sub(self, other: Self) -> Self;
     fn abs(self) -> Self;
     /// `value` where `sign` is negative, and otherwise as it is.
-    fn where_negative(self, sign: Self::Sign, value: f32) -> Self;
+    fn where_negative(self, sign: Self::Ints, value: f32) -> Self;
     /// As [`Lanes::compress`] of what is greater than `least`.
     fn compress(self, least: f32, into: &mut [f32], at: usize) -> usize;
+    /// As [`Lanes::compress`] of what lies between two numbers or is one of them; and how many lanes are under these.
+    fn sift(self, range: (f32, f32), into: &mut [f32], at: usize) -> (usize, usize);
+    /// One more in the lanes that are greater than `value`.
+    fn tally(self, counts: Self::Ints, value: f32) -> Self::Ints;
+    /// `value` less the numbers.
+    fn less(value: i32, ints: Self::Ints) -> Self::Ints;
 }
 
 impl<L: Lanes> Pair<L> for [L::F; 2] {
     /// The left vector and what the right one is larger by: fewer to keep at hand.
     type Edge = [L::I; 2];
-    type Sign = [L::I; 2];
-    type Places = [L::I; 2];
+    type Ints = [L::I; 2];
 
     #[inline(always)]
     fn join(left: L::F, right: L::F) -> Self {
@@ -142,7 +145,7 @@ impl<L: Lanes> Pair<L> for [L::F; 2] {
         [L::add_i(left, by), beyond]
     }
     #[inline(always)]
-    fn either(edges: [Self::Edge; 3]) -> Self::Sign {
+    fn either(edges: [Self::Edge; 3]) -> Self::Ints {
         let either = |[a, b, c]: [L::I; 3]| L::or_i(L::or_i(a, b), c);
         [either(edges.map(|[left, _]| left)), either(edges.map(|[left, beyond]| L::add_i(left, beyond)))]
     }
@@ -151,16 +154,16 @@ impl<L: Lanes> Pair<L> for [L::F; 2] {
         self
     }
     #[inline(always)]
-    fn places([left, beyond]: Self::Edge) -> Self::Places {
+    fn ints([left, beyond]: Self::Edge) -> Self::Ints {
         [left, L::add_i(left, beyond)]
     }
     #[inline(always)]
-    fn half_places(places: Self::Places) -> [L::I; 2] {
-        places
+    fn half_ints(ints: Self::Ints) -> [L::I; 2] {
+        ints
     }
     #[inline(always)]
-    fn larger((best, places): (Self, Self::Places), errors: Self, at: Self::Edge) -> (Self, Self::Places) {
-        let at = <Self as Pair<L>>::places(at);
+    fn larger((best, places): (Self, Self::Ints), errors: Self, at: Self::Edge) -> (Self, Self::Ints) {
+        let at = <Self as Pair<L>>::ints(at);
         let left = L::larger((best[0], places[0]), (errors[0], at[0]));
         let right = L::larger((best[1], places[1]), (errors[1], at[1]));
         ([left.0, right.0], [left.1, right.1])
@@ -183,7 +186,7 @@ impl<L: Lanes> Pair<L> for [L::F; 2] {
         self.map(L::abs)
     }
     #[inline(always)]
-    fn where_negative(self, sign: Self::Sign, value: f32) -> Self {
+    fn where_negative(self, sign: Self::Ints, value: f32) -> Self {
         let value = L::splat(value);
         [L::where_negative(sign[0], value, self[0]), L::where_negative(sign[1], value, self[1])]
     }
@@ -192,6 +195,26 @@ impl<L: Lanes> Pair<L> for [L::F; 2] {
         let least = L::splat(least);
         let count = L::compress(L::greater(self[0], least), self[0], into, at);
         count + L::compress(L::greater(self[1], least), self[1], into, at + count)
+    }
+    #[inline(always)]
+    fn sift(self, (from, to): (f32, f32), into: &mut [f32], at: usize) -> (usize, usize) {
+        let (from, to) = (L::splat(from), L::splat(to));
+        let under = [L::greater(from, self[0]), L::greater(from, self[1])];
+        let within =
+            [L::neither(under[0], L::greater(self[0], to)), L::neither(under[1], L::greater(self[1], to))];
+        let count = L::compress(within[0], self[0], into, at);
+        let count = count + L::compress(within[1], self[1], into, at + count);
+        (L::count(under[0]) + L::count(under[1]), count)
+    }
+    #[inline(always)]
+    fn tally(self, counts: Self::Ints, value: f32) -> Self::Ints {
+        let value = L::splat(value);
+        [L::tally(counts[0], L::greater(self[0], value)), L::tally(counts[1], L::greater(self[1], value))]
+    }
+    #[inline(always)]
+    fn less(value: i32, ints: Self::Ints) -> Self::Ints {
+        let value = L::splat_i(value);
+        [L::sub_i(value, ints[0]), L::sub_i(value, ints[1])]
     }
 }
 

@@ -297,7 +297,13 @@ impl Refiner {
     }
 
     /// Scans a triangle that waits for that, in a rough order later. Returns the work done in pixels.
-    fn scan_again<T: Height>(&mut self, best: &Candidate, view: &View<T>, patch: &Patch, rule: &Rule) -> usize {
+    fn scan_again<T: Height>(
+        &mut self,
+        best: &Candidate,
+        view: &View<T>,
+        patch: &Patch,
+        rule: &Rule,
+    ) -> usize {
         if !self.queue.is_rough() {
             return self.enqueue([best.triangle], view, patch, rule);
         }

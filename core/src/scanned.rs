@@ -131,7 +131,7 @@ impl<L: Lanes, const PLACED: bool> Visitor<L> for Worst<L, PLACED> {
 /// The largest of two strips side by side.
 pub struct WorstOfBoth<L: Lanes> {
     error: L::Pair,
-    place: <L::Pair as Pair<L>>::Places,
+    place: <L::Pair as Pair<L>>::Ints,
     next: <L::Pair as Pair<L>>::Edge,
 }
 
@@ -141,7 +141,7 @@ impl<L: Lanes, const PLACED: bool> Beside<L> for Worst<L, PLACED> {
     #[inline(always)]
     fn both(&self) -> WorstOfBoth<L> {
         let next = L::Pair::edge(self.next, L::splat_i(LANES as i32));
-        WorstOfBoth { error: L::Pair::join(self.error, self.error), place: L::Pair::places(next), next }
+        WorstOfBoth { error: L::Pair::join(self.error, self.error), place: L::Pair::ints(next), next }
     }
 
     #[inline(always)]
@@ -158,7 +158,7 @@ impl<L: Lanes, const PLACED: bool> Beside<L> for Worst<L, PLACED> {
     #[inline(always)]
     fn end_both(&mut self, WorstOfBoth { error, place, .. }: WorstOfBoth<L>) {
         if PLACED {
-            let ([left, right], [at, beside]) = (error.halves(), L::Pair::half_places(place));
+            let ([left, right], [at, beside]) = (error.halves(), L::Pair::half_ints(place));
             (self.error, self.place) = L::larger((left, at), (right, beside));
         }
     }

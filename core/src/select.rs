@@ -1,6 +1,6 @@
 //! The k-th smallest of some errors, without sorting them.
 
-use crate::lanes::{Lanes, Part, LANES};
+use crate::lanes::{Lanes, Pair, Part, LANES};
 use crate::list::List;
 
 /// Scratch memory of a selection.
@@ -10,11 +10,14 @@ pub struct Selector {
     next: List,
 }
 
-/// Vectors few enough for comparing all their values with each other.
-const FEW: usize = 4;
+/// Values of two vectors side by side.
+const PAIR: usize = 2 * LANES;
 
-/// Vectors of a sample, which tells about where the k-th of a long list lies.
-const SAMPLE: usize = 2;
+/// Pairs few enough for comparing all their values with each other.
+const FEW: usize = 2;
+
+/// Values of a sample, which tells about where the k-th of a long list lies.
+const SAMPLE: usize = PAIR;
 
 /// Ranks in the sample on either side between which that is thought to be.
 const REACH: usize = 3;
@@ -56,7 +59,7 @@ impl<L: Lanes> Part<L> for Nth<'_> {
         loop {
             let list = if is_all { all } else { &*rest };
             let count = list.values().len();
-            if count <= FEW * LANES {
+            if count <= FEW * PAIR {
                 return nth_of_few::<L>(list, k);
             }
             let (from, to) = match guess {
@@ -85,31 +88,37 @@ impl<L: Lanes> Part<L> for Nth<'_> {
 
 #[inline(always)]
 fn nth_of_few<L: Lanes>(list: &List, k: usize) -> f32 {
-    match list.vectors().len() {
+    match list.pairs().len() {
         0 | 1 => nth_of::<L, 1>(list, k),
-        2 => nth_of::<L, 2>(list, k),
-        3 => nth_of::<L, 3>(list, k),
         _ => nth_of::<L, FEW>(list, k),
     }
 }
 
 #[inline(always)]
 fn nth_of<L: Lanes, const N: usize>(list: &List, k: usize) -> f32 {
-    let mut vectors = [L::splat(f32::INFINITY); N];
-    for (vector, chunk) in vectors.iter_mut().zip(list.vectors()) {
-        *vector = L::load(chunk);
+    let mut pairs = [splat::<L>(f32::INFINITY); N];
+    for (pair, chunk) in pairs.iter_mut().zip(list.pairs()) {
+        *pair = L::Pair::load(chunk);
     }
-    of_rank::<L, N>(vectors, ranks::<L, N>(vectors, list.values()), k)
+    of_rank::<L, N>(pairs, ranks::<L, N>(pairs, list.values()), k)
 }
 
-/// How many values of the list are smaller than each of the vectors'.
 #[inline(always)]
-fn ranks<L: Lanes, const N: usize>(vectors: [L::F; N], list: &[f32]) -> [L::I; N] {
-    let mut smaller = [L::splat_i(0); N];
+fn splat<L: Lanes>(value: f32) -> L::Pair {
+    L::Pair::join(L::splat(value), L::splat(value))
+}
+
+/// A number for each value of a pair.
+type Ints<L> = <<L as Lanes>::Pair as Pair<L>>::Ints;
+
+/// How many values of the list are smaller than each of the pairs'.
+#[inline(always)]
+fn ranks<L: Lanes, const N: usize>(pairs: [L::Pair; N], list: &[f32]) -> [Ints<L>; N] {
+    let none = L::splat_i(0);
+    let mut smaller = [L::Pair::ints(L::Pair::edge(none, none)); N];
     for &value in list {
-        let value = L::splat(value);
-        for (smaller, &vector) in smaller.iter_mut().zip(&vectors) {
-            *smaller = L::tally(*smaller, L::greater(vector, value));
+        for (smaller, &pair) in smaller.iter_mut().zip(&pairs) {
+            *smaller = pair.tally(*smaller, value);
         }
     }
     smaller
@@ -117,12 +126,11 @@ fn ranks<L: Lanes, const N: usize>(vectors: [L::F; N], list: &[f32]) -> [L::I; N
 
 /// The largest value that at most `k` others are smaller than.
 #[inline(always)]
-fn of_rank<L: Lanes, const N: usize>(vectors: [L::F; N], ranks: [L::I; N], k: usize) -> f32 {
-    let (none, beyond) = (L::splat(-1.0), L::splat_i(-1 - k as i32));
-    let mut largest = none;
-    for (vector, rank) in vectors.into_iter().zip(ranks) {
-        let value = L::where_negative(L::add_i(rank, beyond), vector, none);
-        largest = L::max(value, largest);
+fn of_rank<L: Lanes, const N: usize>(pairs: [L::Pair; N], ranks: [Ints<L>; N], k: usize) -> f32 {
+    let mut largest = L::splat(-1.0);
+    for (pair, rank) in pairs.into_iter().zip(ranks) {
+        let [left, right] = pair.where_negative(L::Pair::less(k as i32, rank), -1.0).halves();
+        largest = L::max(L::max(left, right), largest);
     }
     L::largest(largest)
 }
@@ -130,34 +138,26 @@ fn of_rank<L: Lanes, const N: usize>(vectors: [L::F; N], ranks: [L::I; N], k: us
 /// Between which values the k-th is thought to lie.
 #[inline(always)]
 fn bracket<L: Lanes>(list: &[f32], k: usize, low: f32, high: f32) -> (f32, f32) {
-    const COUNT: usize = SAMPLE * LANES;
-    let mut sample = [0.0; COUNT];
+    let mut sample = [0.0; SAMPLE];
     for (i, value) in sample.iter_mut().enumerate() {
-        *value = list[(2 * i + 1) * list.len() / (2 * COUNT)];
+        *value = list[(2 * i + 1) * list.len() / (2 * SAMPLE)];
     }
-    let mut vectors = [L::splat(0.0); SAMPLE];
-    for (vector, chunk) in vectors.iter_mut().zip(sample.as_chunks().0) {
-        *vector = L::load(chunk);
-    }
-    let ranks = ranks::<L, SAMPLE>(vectors, &sample);
-    let rank = k * COUNT / list.len();
-    let from = if rank < REACH { low } else { of_rank::<L, SAMPLE>(vectors, ranks, rank - REACH) };
-    let to = if rank + REACH < COUNT { of_rank::<L, SAMPLE>(vectors, ranks, rank + REACH) } else { high };
+    let pair = [L::Pair::load(&sample)];
+    let ranks = ranks::<L, 1>(pair, &sample);
+    let rank = k * SAMPLE / list.len();
+    let from = if rank < REACH { low } else { of_rank::<L, 1>(pair, ranks, rank - REACH) };
+    let to = if rank + REACH < SAMPLE { of_rank::<L, 1>(pair, ranks, rank + REACH) } else { high };
     (from, to)
 }
 
 /// Has `into` take the values in a range; says how many lie under it.
 #[inline(always)]
 fn keep<L: Lanes>(list: &List, from: f32, to: f32, into: &mut List) -> usize {
-    let (least, most) = (L::splat(from), L::splat(to));
-    let values = into.start(list.values().len() + LANES);
+    let values = into.start(list.values().len() + PAIR);
     let (mut under, mut within) = (0, 0);
-    for chunk in list.vectors() {
-        let chunk = L::load(chunk);
-        let is_under = L::greater(least, chunk);
-        let is_over = L::greater(chunk, most);
-        under += L::count(is_under);
-        within += L::compress(L::neither(is_under, is_over), chunk, values, within);
+    for chunk in list.pairs() {
+        let (fewer, more) = L::Pair::load(chunk).sift((from, to), values, within);
+        (under, within) = (under + fewer, within + more);
     }
     into.end(within);
     under

@@ -45,8 +45,7 @@ unsafe fn both(left: __m256i, right: __m256i) -> __m512i {
 
 impl Pair<Avx512> for __m512 {
     type Edge = __m512i;
-    type Sign = __m512i;
-    type Places = __m512i;
+    type Ints = __m512i;
 
     #[inline(always)]
     fn join(left: __m256, right: __m256) -> Self {
@@ -75,12 +74,12 @@ impl Pair<Avx512> for __m512 {
         }
     }
     #[inline(always)]
-    fn places(edge: __m512i) -> __m512i {
+    fn ints(edge: __m512i) -> __m512i {
         edge
     }
     #[inline(always)]
-    fn half_places(places: __m512i) -> [__m256i; 2] {
-        unsafe { [_mm512_castsi512_si256(places), _mm512_extracti64x4_epi64::<1>(places)] }
+    fn half_ints(ints: __m512i) -> [__m256i; 2] {
+        unsafe { [_mm512_castsi512_si256(ints), _mm512_extracti64x4_epi64::<1>(ints)] }
     }
     #[inline(always)]
     fn larger((best, places): (Self, __m512i), errors: Self, at: __m512i) -> (Self, __m512i) {
@@ -123,5 +122,29 @@ impl Pair<Avx512> for __m512 {
             _mm512_storeu_ps(into.as_mut_ptr().add(at), closed_up);
             mask.count_ones() as usize
         }
+    }
+    #[inline(always)]
+    fn sift(self, (from, to): (f32, f32), into: &mut [f32], at: usize) -> (usize, usize) {
+        if into.len() < 2 * LANES || at > into.len() - 2 * LANES {
+            return (0, 0);
+        }
+        unsafe {
+            let under = _mm512_cmp_ps_mask::<_CMP_LT_OQ>(self, _mm512_set1_ps(from));
+            let within = !under & _mm512_cmp_ps_mask::<_CMP_LE_OQ>(self, _mm512_set1_ps(to));
+            let closed_up = _mm512_maskz_compress_ps(within, self);
+            _mm512_storeu_ps(into.as_mut_ptr().add(at), closed_up);
+            (under.count_ones() as usize, within.count_ones() as usize)
+        }
+    }
+    #[inline(always)]
+    fn tally(self, counts: __m512i, value: f32) -> __m512i {
+        unsafe {
+            let is_greater = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(self, _mm512_set1_ps(value));
+            _mm512_mask_add_epi32(counts, is_greater, counts, _mm512_set1_epi32(1))
+        }
+    }
+    #[inline(always)]
+    fn less(value: i32, ints: __m512i) -> __m512i {
+        unsafe { _mm512_sub_epi32(_mm512_set1_epi32(value), ints) }
     }
 }
