@@ -100,7 +100,8 @@ fn nth_of<L: Lanes, const N: usize>(list: &List, k: usize) -> f32 {
     for (pair, chunk) in pairs.iter_mut().zip(list.pairs()) {
         *pair = L::Pair::load(chunk);
     }
-    of_rank::<L, N>(pairs, ranks::<L, N>(pairs, list.values()), k)
+    let (values, _) = list.pairs().split_at(N.min(list.pairs().len()));
+    of_rank::<L, N>(pairs, ranks::<L, N>(pairs, values), k)
 }
 
 #[inline(always)]
@@ -111,14 +112,17 @@ fn splat<L: Lanes>(value: f32) -> L::Pair {
 /// A number for each value of a pair.
 type Ints<L> = <<L as Lanes>::Pair as Pair<L>>::Ints;
 
-/// How many values of the list are smaller than each of the pairs'.
+/// How many of the values are smaller than each of the pairs'. Whole pairs of them, because the end of a shorter loop
+/// would be mistaken.
 #[inline(always)]
-fn ranks<L: Lanes, const N: usize>(pairs: [L::Pair; N], list: &[f32]) -> [Ints<L>; N] {
+fn ranks<L: Lanes, const N: usize>(pairs: [L::Pair; N], values: &[[f32; PAIR]]) -> [Ints<L>; N] {
     let none = L::splat_i(0);
     let mut smaller = [L::Pair::ints(L::Pair::edge(none, none)); N];
-    for &value in list {
-        for (smaller, &pair) in smaller.iter_mut().zip(&pairs) {
-            *smaller = pair.tally(*smaller, value);
+    for chunk in values {
+        for &value in chunk {
+            for (smaller, &pair) in smaller.iter_mut().zip(&pairs) {
+                *smaller = pair.tally(*smaller, value);
+            }
         }
     }
     smaller
@@ -143,7 +147,7 @@ fn bracket<L: Lanes>(list: &[f32], k: usize, low: f32, high: f32) -> (f32, f32) 
         *value = list[(2 * i + 1) * list.len() / (2 * SAMPLE)];
     }
     let pair = [L::Pair::load(&sample)];
-    let ranks = ranks::<L, 1>(pair, &sample);
+    let ranks = ranks::<L, 1>(pair, &[sample]);
     let rank = k * SAMPLE / list.len();
     let from = if rank < REACH { low } else { of_rank::<L, 1>(pair, ranks, rank - REACH) };
     let to = if rank + REACH < SAMPLE { of_rank::<L, 1>(pair, ranks, rank + REACH) } else { high };
