@@ -5,12 +5,12 @@
 
 use crate::grid::Height;
 use crate::image::View;
-use crate::lanes::{Kernel, Lanes, Part, Vectors, LANES};
+use crate::lanes::{Kernel, Lanes, Pair, Part, Vectors, LANES};
 use crate::patch::Patch;
 use crate::predicate::{pixels_of, Point, SUB_BITS};
 use crate::scan::{Plane, Spans};
-use crate::scanned::{is_exact, Found, Scan, Worst};
-use crate::walk::{Beside, Visitor, Walk};
+use crate::scanned::{is_exact, Found, Scan, Worst, WorstOfBoth};
+use crate::walk::{Visitor, Walk};
 
 /// A triangle over a patch.
 #[derive(Clone, Copy)]
@@ -24,7 +24,7 @@ pub struct Facet {
 
 impl Scan for Facet {
     #[inline(always)]
-    fn run<L: Lanes, V: Beside<L>>(&self, patch: &Patch, visitor: V) -> V {
+    fn run<L: Lanes, V: Visitor<L>>(&self, patch: &Patch, visitor: V) -> V {
         self.walk.run(patch, visitor)
     }
 
@@ -122,12 +122,42 @@ impl<L: Lanes> Visitor<L> for Sought<L> {
         self.is_there = L::equal(error, self.error);
         L::is_any(self.is_there)
     }
+
+    type Both = ();
+
+    #[inline(always)]
+    fn both(&self) {}
+
+    #[inline(always)]
+    fn see_both(&mut self, _: &mut (), errors: L::Pair) -> bool {
+        let [left, right] = errors.halves();
+        let is_left = self.see(left);
+        if !is_left {
+            let place = self.place;
+            self.is_there = L::equal(right, self.error);
+            if L::is_any(self.is_there) {
+                self.place = place.wrapping_add(LANES);
+                return true;
+            }
+        }
+        is_left
+    }
+
+    #[inline(always)]
+    fn end_both(&mut self, (): ()) {}
 }
 
 /// The largest error up to a limit.
 struct Limited<L: Lanes> {
     limit: L::F,
     worst: Worst<L, true>,
+}
+
+impl<L: Lanes> Limited<L> {
+    #[inline(always)]
+    fn limited(&self, error: L::F) -> L::F {
+        L::choose(L::greater(error, self.limit), L::splat(-1.0), error)
+    }
 }
 
 impl<L: Lanes> Visitor<L> for Limited<L> {
@@ -138,8 +168,25 @@ impl<L: Lanes> Visitor<L> for Limited<L> {
 
     #[inline(always)]
     fn see(&mut self, error: L::F) -> bool {
-        let is_beyond = L::greater(error, self.limit);
-        self.worst.see(L::choose(is_beyond, L::splat(-1.0), error))
+        self.worst.see(self.limited(error))
+    }
+
+    type Both = WorstOfBoth<L>;
+
+    #[inline(always)]
+    fn both(&self) -> WorstOfBoth<L> {
+        self.worst.both()
+    }
+
+    #[inline(always)]
+    fn see_both(&mut self, both: &mut WorstOfBoth<L>, errors: L::Pair) -> bool {
+        let [left, right] = errors.halves();
+        self.worst.see_both(both, L::Pair::join(self.limited(left), self.limited(right)))
+    }
+
+    #[inline(always)]
+    fn end_both(&mut self, both: WorstOfBoth<L>) {
+        self.worst.end_both(both);
     }
 }
 

@@ -6,7 +6,8 @@ use crate::lanes::{Lanes, LANES};
 use crate::patch::Patch;
 use crate::predicate::{Point, SUB_BITS, UNIT};
 use crate::scanned::{is_exact, Scan};
-use crate::walk::{Beside, Strip, MAX_SIDE, NARROW};
+use crate::walk::{Edge, Strips, Visitor, MAX_SIDE, NARROW};
+use std::marker::PhantomData;
 
 type Ints = [i32; LANES];
 type Doubles = [f64; LANES];
@@ -169,24 +170,20 @@ pub struct Narrow<'a> {
 
 impl Scan for Narrow<'_> {
     #[inline(always)]
-    fn run<L: Lanes, V: Beside<L>>(&self, patch: &Patch, mut visitor: V) -> V {
+    fn run<L: Lanes, V: Visitor<L>>(&self, patch: &Patch, mut visitor: V) -> V {
         let Narrow { facets: Facets { ready, .. }, i } = *self;
         let at = ready.top[i] as usize * patch.stride() + ready.left[i] as usize;
         let rows = (ready.rows[i] + 1) as usize;
-        visitor.move_to(at, patch.stride());
-        let slopes = [ready.per_col[i], ready.per_row[i]].map(|v| v as f32);
-        let edges = [0, 1, 2].map(|k| {
-            let across = ready.across[k][i];
-            (L::ramp(ready.edges[k][i], across), L::splat_i(ready.down[k][i]))
-        });
-        let left = Strip::<L>::new(edges, ready.start[0][i] as f32, slopes, [0.0, 1.0]);
-        if ready.cols[i] < LANES as i32 {
-            left.show(patch.rows(at, rows), &mut visitor);
-        } else {
-            let beyond = [0, 1, 2].map(|k| L::splat_i(LANES as i32 * ready.across[k][i]));
-            let right = Strip::<L>::heights(ready.start[1][i] as f32, slopes[0]);
-            left.show_both((beyond, right), patch.rows(at, rows), &mut visitor);
-        }
+        let edge =
+            |k: usize| Edge { at: ready.edges[k][i], across: ready.across[k][i], down: ready.down[k][i] };
+        let strips = Strips::<L> {
+            edges: [edge(0), edge(1), edge(2)],
+            starts: [ready.start[0][i] as f32, ready.start[1][i] as f32],
+            slopes: [ready.per_col[i] as f32, ready.per_row[i] as f32],
+            rows: [0.0, 1.0],
+            vectors: PhantomData,
+        };
+        strips.show(patch, (at, rows, patch.stride()), ready.cols[i], &mut visitor);
         visitor
     }
 

@@ -263,12 +263,12 @@ impl Patch {
 
     /// The same where each time there are so many places to the next.
     #[inline(always)]
-    pub fn rows_apart(
+    pub fn rows_apart<const N: usize>(
         &self,
         place: usize,
         count: usize,
         apart: usize,
-    ) -> impl Iterator<Item = &[f32; LANES]> {
+    ) -> impl Iterator<Item = &[f32; N]> {
         let start = place.wrapping_sub(self.base);
         let rows = |count: usize| self.z.get(start..start.wrapping_add(count * apart));
         // The last of a sample is left out where it is among the last rows of all.

@@ -3,7 +3,7 @@
 use crate::lanes::{Lanes, Pair, LANES};
 use crate::list::List;
 use crate::patch::Patch;
-use crate::walk::{Beside, Visitor};
+use crate::walk::Visitor;
 
 /// What single precision may be off, as a part of the heights involved (sixteen times
 /// half a unit in the last place, of less than eight roundings).
@@ -18,7 +18,7 @@ const TINY: f64 = 1e-36;
 /// A triangle that can be scanned.
 pub trait Scan {
     /// Shows its pixels to the visitor, and gives it back.
-    fn run<L: Lanes, V: Beside<L>>(&self, patch: &Patch, visitor: V) -> V;
+    fn run<L: Lanes, V: Visitor<L>>(&self, patch: &Patch, visitor: V) -> V;
 
     /// How many pixels and others beside them are visited at most.
     fn room(&self) -> usize;
@@ -126,26 +126,21 @@ impl<L: Lanes, const PLACED: bool> Visitor<L> for Worst<L, PLACED> {
         }
         false
     }
-}
 
-/// The largest of two strips side by side.
-pub struct WorstOfBoth<L: Lanes> {
-    error: L::Pair,
-    place: <L::Pair as Pair<L>>::Ints,
-    next: <L::Pair as Pair<L>>::Edge,
-}
-
-impl<L: Lanes, const PLACED: bool> Beside<L> for Worst<L, PLACED> {
     type Both = WorstOfBoth<L>;
 
     #[inline(always)]
     fn both(&self) -> WorstOfBoth<L> {
-        let next = L::Pair::edge(self.next, L::splat_i(LANES as i32));
-        WorstOfBoth { error: L::Pair::join(self.error, self.error), place: L::Pair::ints(next), next }
+        let so_far = L::Pair::edge(self.place, L::splat_i(0));
+        WorstOfBoth {
+            error: L::Pair::join(self.error, self.error),
+            place: L::Pair::ints(so_far),
+            next: L::Pair::edge(self.next, L::splat_i(LANES as i32)),
+        }
     }
 
     #[inline(always)]
-    fn see_both(&mut self, both: &mut WorstOfBoth<L>, errors: L::Pair) {
+    fn see_both(&mut self, both: &mut WorstOfBoth<L>, errors: L::Pair) -> bool {
         if PLACED {
             (both.error, both.place) = L::Pair::larger((both.error, both.place), errors, both.next);
             both.next = L::Pair::step(both.next, self.further);
@@ -153,6 +148,7 @@ impl<L: Lanes, const PLACED: bool> Beside<L> for Worst<L, PLACED> {
             let [left, right] = errors.halves();
             self.error = L::max(right, L::max(left, self.error));
         }
+        false
     }
 
     #[inline(always)]
@@ -162,6 +158,13 @@ impl<L: Lanes, const PLACED: bool> Beside<L> for Worst<L, PLACED> {
             (self.error, self.place) = L::larger((left, at), (right, beside));
         }
     }
+}
+
+/// The largest of two strips side by side.
+pub struct WorstOfBoth<L: Lanes> {
+    error: L::Pair,
+    place: <L::Pair as Pair<L>>::Ints,
+    next: <L::Pair as Pair<L>>::Edge,
 }
 
 struct Collector<'a, L: Lanes, const PLACED: bool> {
@@ -182,9 +185,7 @@ impl<L: Lanes, const PLACED: bool> Visitor<L> for Collector<'_, L, PLACED> {
         self.count += L::compress(L::greater(error, L::splat(-0.5)), error, self.values, self.count);
         self.worst.see(error)
     }
-}
 
-impl<L: Lanes, const PLACED: bool> Beside<L> for Collector<'_, L, PLACED> {
     type Both = WorstOfBoth<L>;
 
     #[inline(always)]
@@ -193,9 +194,9 @@ impl<L: Lanes, const PLACED: bool> Beside<L> for Collector<'_, L, PLACED> {
     }
 
     #[inline(always)]
-    fn see_both(&mut self, both: &mut WorstOfBoth<L>, errors: L::Pair) {
+    fn see_both(&mut self, both: &mut WorstOfBoth<L>, errors: L::Pair) -> bool {
         self.count += errors.compress(-0.5, self.values, self.count);
-        self.worst.see_both(both, errors);
+        self.worst.see_both(both, errors)
     }
 
     #[inline(always)]

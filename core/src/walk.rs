@@ -4,8 +4,9 @@ use crate::lanes::{Lanes, Pair, Part, LANES};
 use crate::patch::Patch;
 use crate::predicate::{Point, SUB_BITS, UNIT};
 use crate::scan::{rows_between, Plane, Side, Spans};
+use std::marker::PhantomData;
 
-/// In wider triangles it pays to find the rows that a strip of columns meets.
+/// Columns of two strips side by side. In wider triangles it pays to find the rows that these meet.
 pub const NARROW: i32 = 2 * LANES as i32;
 
 /// With sides in pixels up to this the edge functions fit 32 bits, those of the pixels of a
@@ -40,18 +41,15 @@ pub trait Visitor<L: Lanes> {
     /// Eight errors; one is -1 beside the triangle and NaN where there is no candidate.
     /// Returns whether that was all there is to look for.
     fn see(&mut self, error: L::F) -> bool;
-}
 
-/// One that looks at all errors, also at twice eight a time.
-pub trait Beside<L: Lanes>: Visitor<L> {
     /// What has been seen of two strips side by side.
     type Both;
 
     /// Before any.
     fn both(&self) -> Self::Both;
 
-    /// Twice eight errors as in [`Visitor::see`].
-    fn see_both(&mut self, both: &mut Self::Both, errors: L::Pair);
+    /// Twice eight errors likewise.
+    fn see_both(&mut self, both: &mut Self::Both, errors: L::Pair) -> bool;
 
     /// Takes in what has been seen.
     fn end_both(&mut self, both: Self::Both);
@@ -115,8 +113,8 @@ impl Walk {
     #[inline(always)]
     pub fn room(&self) -> usize {
         let [cols, rows] = self.size();
-        // A strip and a row more than there are on the average.
-        ((cols / (LANES as i32 * self.strips) + 2) * (rows / self.rows + 2)) as usize * LANES
+        // Two strips and a row more than there are on the average.
+        ((cols / (LANES as i32 * self.strips) + 3) * (rows / self.rows + 2)) as usize * LANES
     }
 
     /// Shows the pixels to the visitor, and gives it back.
@@ -127,17 +125,9 @@ impl Walk {
         if right - left >= NARROW || rows >= MAX_SIDE {
             return L::apart(Wide { walk: self, patch, visitor });
         }
-        let mut col = left;
-        while col <= right {
-            let at = top as usize * patch.stride() + col as usize;
-            visitor.move_to(at, patch.stride());
-            let heights = patch.rows(at, (rows + 1) as usize);
-            let strip = self.strip::<L>([col, top, 0], self.p, (SUB_BITS, 1));
-            if strip.show(heights, &mut visitor) {
-                break;
-            }
-            col += LANES as i32;
-        }
+        let at = top as usize * patch.stride() + left as usize;
+        let strips = self.strips_from::<L>([left, top, 0], self.p, (SUB_BITS, 1));
+        strips.show(patch, (at, (rows + 1) as usize, patch.stride()), right - left, &mut visitor);
         visitor
     }
 
@@ -158,9 +148,12 @@ impl Walk {
         // Relative to where single precision is exact.
         let [a, b, c] = self.p.map(|p| [p.x - (left << SUB_BITS), p.y - (top << SUB_BITS)]);
         let sides = [Side::new(a, b), Side::new(b, c), Side::new(c, a)];
+        // Strips of a sample are apart.
+        let width = if self.strips == 1 { NARROW } else { LANES as i32 };
         let mut col = 0;
         while col <= cols {
-            let (first, last) = rows_between(&sides, col as f32, (col + LANES as i32 - 1) as f32);
+            let beyond = width.min(cols + 1 - col) - 1;
+            let (first, last) = rows_between(&sides, col as f32, (col + beyond) as f32);
             let (first, last) = (first.max(0), last.min(rows));
             let (first, last) = match self.rows {
                 1 => (first, last),
@@ -169,36 +162,40 @@ impl Walk {
             let count = (last + 1 - first).max(0) as usize;
             let every = self.rows as usize * patch.stride();
             let at = top as usize * patch.stride() + first as usize * every + (left + col) as usize;
-            visitor.move_to(at, every);
-            let heights = patch.rows_apart(at, count, every);
-            let strip = self.strip::<L>([left + col, top, first], p, (bits, self.rows));
-            if strip.show(heights, visitor) {
+            let strips = self.strips_from::<L>([left + col, top, first], p, (bits, self.rows));
+            if strips.show(patch, (at, count, every), beyond, visitor) {
                 return;
             }
-            col += LANES as i32 * self.strips;
+            col += width * self.strips;
         }
     }
 
-    /// The strip from column `left` on. Its rows lie `every` so many from `top` on, beginning with the `first` of
+    /// The strips from column `left` on. Their rows lie `every` so many from `top` on, beginning with the `first` of
     /// those. `p` are the corners with so many bits below the pixel.
     #[inline(always)]
-    fn strip<L: Lanes>(
+    fn strips_from<L: Lanes>(
         &self,
         [left, top, first]: [i32; 3],
         p: [Point; 3],
         (bits, every): (u32, i32),
-    ) -> Strip<L> {
+    ) -> Strips<L> {
         let (x, y) = (left << bits, (top + first * every) << bits);
         let edge = |k: usize| {
             let (a, b) = (p[k], p[(k + 1) % 3]);
             let (dx, dy) = (b.x - a.x, b.y - a.y);
-            (L::ramp(dx * (y - a.y) - dy * (x - a.x), -dy << bits), L::splat_i((dx << bits) * every))
+            let at = dx * (y - a.y) - dy * (x - a.x);
+            Edge { at, across: -dy << bits, down: (dx << bits) * every }
         };
         let plane = &self.plane;
-        let start = plane.at(plane.on_row(top as usize), left as usize) as f32;
-        // From the first row of all, so that a sample finds the errors that the whole has.
-        let rows = [(first * every) as f32, every as f32];
-        Strip::new([edge(0), edge(1), edge(2)], start, [plane.per_col, plane.per_row].map(|v| v as f32), rows)
+        let on_row = plane.on_row(top as usize);
+        Strips {
+            edges: [edge(0), edge(1), edge(2)],
+            starts: [0, LANES].map(|beyond| plane.at(on_row, left as usize + beyond) as f32),
+            slopes: [plane.per_col, plane.per_row].map(|v| v as f32),
+            // From the first row of all, so that a sample finds the errors that the whole has.
+            rows: [(first * every) as f32, every as f32],
+            vectors: PhantomData,
+        }
     }
 
     #[inline(always)]
@@ -225,58 +222,64 @@ impl Walk {
     }
 }
 
-/// A triangle in a strip of columns that fit one vector: inside is where no edge function is negative (Pineda
-/// 1988).
-pub struct Strip<L: Lanes> {
-    /// Each edge function on the first row, and what it gains to the next.
-    edges: [(L::I, L::I); 3],
-    /// Of the plane: its heights on a first row of all,
-    start: L::F,
-    /// what it gains from row to row,
-    slope: L::F,
-    /// and the rows down to the first one looked at and from each to the next.
-    down: L::F,
-    step: L::F,
+/// An edge function at the first pixel of the strips, and what it gains a column and a row.
+pub struct Edge {
+    pub at: i32,
+    pub across: i32,
+    pub down: i32,
 }
 
-impl<L: Lanes> Strip<L> {
-    /// `start`: the height in the first column; `slopes`: per column and per row.
+/// A triangle in two strips side by side of columns that fit one vector each: inside is where no edge function is
+/// negative (Pineda 1988).
+pub struct Strips<L: Lanes> {
+    pub edges: [Edge; 3],
+    /// The plane's height on a first row of all, in the first column of each strip,
+    pub starts: [f32; 2],
+    /// and what it gains a column and a row.
+    pub slopes: [f32; 2],
+    /// The rows down to the first one looked at, and from each to the next.
+    pub rows: [f32; 2],
+    pub vectors: PhantomData<L>,
+}
+
+impl<L: Lanes> Strips<L> {
+    /// Shows `count` rows of the patch to the visitor, the first from `at` on and each so much `further`, as far as the
+    /// triangle has columns `beyond` the first; returns whether that was all there is to look for.
     #[inline(always)]
-    pub fn new(
-        edges: [(L::I, L::I); 3],
-        start: f32,
-        [per_col, per_row]: [f32; 2],
-        [down, step]: [f32; 2],
-    ) -> Self {
-        Strip {
-            edges,
-            start: Self::heights(start, per_col),
-            slope: L::splat(per_row),
-            down: L::splat(down),
-            step: L::splat(step),
+    pub fn show(
+        self,
+        patch: &Patch,
+        (at, count, further): (usize, usize, usize),
+        beyond: i32,
+        visitor: &mut impl Visitor<L>,
+    ) -> bool {
+        visitor.move_to(at, further);
+        if beyond < LANES as i32 {
+            self.show_left(patch.rows_apart(at, count, further), visitor)
+        } else {
+            // One loop for both, so that its end is mistaken once.
+            self.show_both(patch.rows_apart(at, count, further), visitor)
         }
     }
 
-    /// The plane's heights on a row, from the one in the first column.
+    /// The plane's heights in a strip on a first row of all.
     #[inline(always)]
-    pub fn heights(start: f32, per_col: f32) -> L::F {
-        L::add(L::splat(start), L::mul(L::splat(per_col), L::to_f(L::ramp(0, 1))))
+    fn heights(&self, strip: usize) -> L::F {
+        L::add(L::splat(self.starts[strip]), L::mul(L::splat(self.slopes[0]), L::to_f(L::ramp(0, 1))))
     }
 
-    /// Shows the rows of heights to the visitor; returns whether that was all there is to look for.
     #[inline(always)]
-    pub fn show<'h>(
+    fn show_left<'h>(
         self,
         heights: impl Iterator<Item = &'h [f32; LANES]>,
         visitor: &mut impl Visitor<L>,
     ) -> bool {
-        let Strip {
-            edges: [(mut e0, down0), (mut e1, down1), (mut e2, down2)],
-            start,
-            slope,
-            mut down,
-            step,
-        } = self;
+        let [a, b, c] = &self.edges;
+        let (mut e0, down0) = (L::ramp(a.at, a.across), L::splat_i(a.down));
+        let (mut e1, down1) = (L::ramp(b.at, b.across), L::splat_i(b.down));
+        let (mut e2, down2) = (L::ramp(c.at, c.across), L::splat_i(c.down));
+        let (start, slope) = (self.heights(0), L::splat(self.slopes[1]));
+        let (mut down, step) = (L::splat(self.rows[0]), L::splat(self.rows[1]));
         for heights in heights {
             let level = L::add(start, L::mul(slope, down));
             let error = L::abs(L::sub(L::load(heights), level));
@@ -290,27 +293,35 @@ impl<L: Lanes> Strip<L> {
         false
     }
 
-    /// The same together with the strip to the right, whose edge functions are so much larger and whose start is
-    /// given: one loop, so that its end is mistaken once.
     #[inline(always)]
-    pub fn show_both<'h>(
+    fn show_both<'h>(
         self,
-        (beyond, right): ([L::I; 3], L::F),
         heights: impl Iterator<Item = &'h [f32; 2 * LANES]>,
-        visitor: &mut impl Beside<L>,
-    ) {
-        let Strip { edges, start, slope, mut down, step } = self;
+        visitor: &mut impl Visitor<L>,
+    ) -> bool {
+        let start = L::Pair::join(self.heights(0), self.heights(1));
+        let edge = |edge: &Edge| {
+            let beyond = L::splat_i(LANES as i32 * edge.across);
+            (L::Pair::edge(L::ramp(edge.at, edge.across), beyond), L::splat_i(edge.down))
+        };
+        let [a, b, c] = &self.edges;
+        let ((mut e0, down0), (mut e1, down1), (mut e2, down2)) = (edge(a), edge(b), edge(c));
+        let slope = L::splat(self.slopes[1]);
+        let (mut down, step) = (L::splat(self.rows[0]), L::splat(self.rows[1]));
         let mut both = visitor.both();
-        let start = L::Pair::join(start, right);
-        let mut at = [0, 1, 2].map(|k| L::Pair::edge(edges[k].0, beyond[k]));
+        let mut is_all = false;
         for heights in heights {
             let on_row = L::mul(slope, down);
             let error = L::Pair::load(heights).sub(start.add(L::Pair::join(on_row, on_row))).abs();
-            visitor.see_both(&mut both, error.where_negative(L::Pair::either(at), -1.0));
-            at = [0, 1, 2].map(|k| L::Pair::step(at[k], edges[k].1));
+            is_all = visitor.see_both(&mut both, error.where_negative(L::Pair::either([e0, e1, e2]), -1.0));
+            if is_all {
+                break;
+            }
+            (e0, e1, e2) = (L::Pair::step(e0, down0), L::Pair::step(e1, down1), L::Pair::step(e2, down2));
             down = L::add(down, step);
         }
         visitor.end_both(both);
+        is_all
     }
 }
 
