@@ -68,11 +68,7 @@ pub trait Lanes: Copy {
     fn largest(values: Self::F) -> f32;
     /// Lane by lane the larger of two and the number that goes with it, the first of two alike and where the second is
     /// no number.
-    #[inline(always)]
-    fn larger(best: (Self::F, Self::I), other: (Self::F, Self::I)) -> (Self::F, Self::I) {
-        let is_larger = Self::greater(other.0, best.0);
-        (Self::choose(is_larger, other.0, best.0), Self::choose_i(is_larger, other.1, best.1))
-    }
+    fn larger(best: (Self::F, Self::I), other: (Self::F, Self::I)) -> (Self::F, Self::I);
     /// The smaller of two, `b` where `a` is no number.
     fn min(a: Self::F, b: Self::F) -> Self::F;
     /// The sums over the lanes of each.
@@ -102,6 +98,8 @@ pub trait Pair<L: Lanes>: Copy {
 
     fn join(left: L::F, right: L::F) -> Self;
     fn edge(left: L::I, beyond: L::I) -> Self::Edge;
+    /// As [`Lanes::ramp`].
+    fn ramp(start: i32, step: i32) -> Self::Edge;
     /// The same added to both.
     fn step(edge: Self::Edge, by: L::I) -> Self::Edge;
     /// Negative where one of the edges is.
@@ -139,6 +137,10 @@ impl<L: Lanes> Pair<L> for [L::F; 2] {
     #[inline(always)]
     fn edge(left: L::I, beyond: L::I) -> Self::Edge {
         [left, beyond]
+    }
+    #[inline(always)]
+    fn ramp(start: i32, step: i32) -> Self::Edge {
+        [L::ramp(start, step), L::splat_i(step.wrapping_mul(LANES as i32))]
     }
     #[inline(always)]
     fn step([left, beyond]: Self::Edge, by: L::I) -> Self::Edge {

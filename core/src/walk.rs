@@ -300,10 +300,7 @@ impl<L: Lanes> Strips<L> {
         visitor: &mut impl Visitor<L>,
     ) -> bool {
         let start = L::Pair::join(self.heights(0), self.heights(1));
-        let edge = |edge: &Edge| {
-            let beyond = L::splat_i(LANES as i32 * edge.across);
-            (L::Pair::edge(L::ramp(edge.at, edge.across), beyond), L::splat_i(edge.down))
-        };
+        let edge = |edge: &Edge| (L::Pair::ramp(edge.at, edge.across), L::splat_i(edge.down));
         let [a, b, c] = &self.edges;
         let ((mut e0, down0), (mut e1, down1), (mut e2, down2)) = (edge(a), edge(b), edge(c));
         let slope = L::splat(self.slopes[1]);

@@ -30,6 +30,8 @@ pub trait Width: Copy {
     type Pair: Pair<Avx<Self>>;
     /// The lanes of the mask at the front, and how many they are.
     unsafe fn closed_up(mask: __m256, values: __m256) -> (__m256, usize);
+    /// As [`Lanes::larger`].
+    unsafe fn larger(best: (__m256, __m256i), other: (__m256, __m256i)) -> (__m256, __m256i);
     /// As [`Lanes::apart`].
     fn apart<P: Part<Avx<Self>>>(part: P) -> P::Output;
 }
@@ -45,6 +47,12 @@ impl Width for Two {
     unsafe fn closed_up(mask: __m256, values: __m256) -> (__m256, usize) {
         let bits = _mm256_movemask_ps(mask);
         (_mm256_permutevar8x32_ps(values, to_front(bits)), bits.count_ones() as usize)
+    }
+
+    #[inline(always)]
+    unsafe fn larger(best: (__m256, __m256i), other: (__m256, __m256i)) -> (__m256, __m256i) {
+        let is_larger = _mm256_castps_si256(_mm256_cmp_ps::<_CMP_GT_OQ>(other.0, best.0));
+        (_mm256_max_ps(other.0, best.0), _mm256_blendv_epi8(best.1, other.1, is_larger))
     }
 
     #[inline(always)]
@@ -249,6 +257,10 @@ impl<W: Width> Lanes for Avx<W> {
             let pair = _mm_max_ps(half, _mm_movehl_ps(half, half));
             _mm_cvtss_f32(_mm_max_ss(pair, _mm_shuffle_ps::<1>(pair, pair)))
         }
+    }
+    #[inline(always)]
+    fn larger(best: (Self::F, Self::I), other: (Self::F, Self::I)) -> (Self::F, Self::I) {
+        unsafe { W::larger(best, other) }
     }
     #[inline(always)]
     fn min(a: Self::F, b: Self::F) -> Self::F {

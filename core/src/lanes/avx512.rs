@@ -33,6 +33,12 @@ impl Width for One {
     }
 
     #[inline(always)]
+    unsafe fn larger(best: (__m256, __m256i), other: (__m256, __m256i)) -> (__m256, __m256i) {
+        let is_larger = _mm256_cmp_ps_mask::<_CMP_GT_OQ>(other.0, best.0);
+        (_mm256_max_ps(other.0, best.0), _mm256_mask_mov_epi32(best.1, is_larger, other.1))
+    }
+
+    #[inline(always)]
     fn apart<P: Part<Avx512>>(part: P) -> P::Output {
         unsafe { run_part(part) }
     }
@@ -57,6 +63,14 @@ impl Pair<Avx512> for __m512 {
     #[inline(always)]
     fn edge(left: __m256i, beyond: __m256i) -> __m512i {
         unsafe { both(left, _mm256_add_epi32(left, beyond)) }
+    }
+    #[inline(always)]
+    fn ramp(start: i32, step: i32) -> __m512i {
+        unsafe {
+            let lanes = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+            let steps = _mm512_mullo_epi32(_mm512_set1_epi32(step), lanes);
+            _mm512_add_epi32(_mm512_set1_epi32(start), steps)
+        }
     }
     #[inline(always)]
     fn step(edge: __m512i, by: __m256i) -> __m512i {
@@ -85,7 +99,7 @@ impl Pair<Avx512> for __m512 {
     fn larger((best, places): (Self, __m512i), errors: Self, at: __m512i) -> (Self, __m512i) {
         unsafe {
             let is_larger = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(errors, best);
-            (_mm512_mask_mov_ps(best, is_larger, errors), _mm512_mask_mov_epi32(places, is_larger, at))
+            (_mm512_max_ps(errors, best), _mm512_mask_mov_epi32(places, is_larger, at))
         }
     }
     #[inline(always)]

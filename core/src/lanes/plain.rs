@@ -178,6 +178,11 @@ impl Lanes for Plain {
         values.iter().fold(f32::NEG_INFINITY, |a, &b| if b > a { b } else { a })
     }
     #[inline(always)]
+    fn larger(best: (Self::F, Self::I), other: (Self::F, Self::I)) -> (Self::F, Self::I) {
+        let is_larger = Self::greater(other.0, best.0);
+        (Self::max(other.0, best.0), Self::choose_i(is_larger, other.1, best.1))
+    }
+    #[inline(always)]
     fn min(a: Self::F, b: Self::F) -> Self::F {
         both(a, b, |a, b| if a < b { a } else { b })
     }
