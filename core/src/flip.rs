@@ -28,18 +28,28 @@ fn edges(
 ) -> Result<Vec<Vec<u32>>> {
     spread(progress, runs.iter(), |run, progress| {
         progress.poll(8 * run.len(), || 0.0)?;
-        let mut edges = Vec::new();
-        for t in run.start as u32..run.end as u32 {
-            for h in [0, 1, 2].map(|k| half_edge(t, k)) {
-                let twin = mesh.twin(h);
-                let is_edge = h > twin && is_free(mesh, h);
-                if is_edge && (is_marked[t as usize] || is_marked[triangle_of(twin) as usize]) {
-                    edges.push(h);
-                }
-            }
-        }
-        Ok(edges)
+        let half_edges = (run.start as u32..run.end as u32).flat_map(|t| [0, 1, 2].map(|k| half_edge(t, k)));
+        let is_open = |&h: &u32| {
+            let (t, twin) = (triangle_of(h) as usize, mesh.twin(h));
+            let beyond = is_marked.get(triangle_of(twin) as usize).copied().unwrap_or(false);
+            (h > twin) & is_free(mesh, h) & (is_marked[t] | beyond)
+        };
+        Ok(chosen(3 * run.len(), half_edges, is_open))
     })
+}
+
+/// Those of at most `most` half-edges that are wanted. Where that can not be foreseen, a branch would mostly be mistaken.
+fn chosen(most: usize, edges: impl Iterator<Item = u32>, is_wanted: impl Fn(&u32) -> bool) -> Vec<u32> {
+    let (mut chosen, mut count) = (vec![0; most], 0);
+    for h in edges {
+        let wanted = is_wanted(&h);
+        if let Some(place) = chosen.get_mut(count) {
+            *place = h;
+            count += usize::from(wanted);
+        }
+    }
+    chosen.truncate(count);
+    chosen
 }
 
 /// Half-edges by run of triangles.
@@ -69,13 +79,16 @@ fn gains<T: Height>(
     edges: &[u32],
 ) -> Vec<(f64, u32)> {
     let mesh = &surface.mesh;
-    let may_gain = |quad: &Quad, h: u32| fit.is_none_or(|fit| quad.may_gain(fit.beside(mesh, h)));
-    let mut quads = Vec::with_capacity(edges.len());
-    for &h in edges {
+    let quad = |h: u32| {
         let v = corners(mesh, h);
-        let quad = Quad::new(v.map(|v| mesh.point(v)), v.map(|v| surface.z[v as usize]));
-        quads.extend(quad.filter(|quad| may_gain(quad, h)).map(|quad| (quad, h)));
-    }
+        Quad::new(v.map(|v| mesh.point(v)), v.map(|v| surface.z[v as usize]))
+    };
+    let may_gain = |&h: &u32| {
+        let quad = quad(h);
+        quad.is_convex() & fit.is_none_or(|fit| quad.may_gain(fit.beside(mesh, h)))
+    };
+    let candidates = chosen(edges.len(), edges.iter().copied(), may_gain);
+    let quads: Vec<(Quad, u32)> = candidates.into_iter().map(|h| (quad(h), h)).collect();
     let Some((first, _)) = quads.first() else { return Vec::new() };
     let patch = Patch::near(target, quads.iter().map(|(quad, _)| quad.p), first.z[0]);
     let vectors = Vectors::best();

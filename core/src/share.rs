@@ -165,11 +165,12 @@ impl Share<1> {
         let values = [all, of_b * scale, of_c * scale, squares * per_unit].map(|sum| sum * per_unit);
         let mut share = Share::of_sums(hats, [values]);
         for k in 0..3 {
-            // A pixel that is a corner is the triangle's if both edges there are.
-            if let (true, true, Some((col, row))) = (owned[k], owned[(k + 2) % 3], p[k].as_pixel()) {
+            // A pixel that is a corner is the triangle's if both edges there are. Whether it is can not be foreseen: no branch.
+            let is_own = owned[k] & owned[(k + 2) % 3];
+            if let Some((col, row)) = p[k].as_pixel() {
                 let height = f64::from(patch.z(row * patch.stride() + col));
-                let value = ((height - z[k]) * per_unit) as f32;
-                share.corners[k] -= 1.0;
+                let value = if is_own { ((height - z[k]) * per_unit) as f32 } else { 0.0 };
+                share.corners[k] -= f32::from(u8::from(is_own));
                 share.sides[k][0] -= value;
                 share.squares[0] = (share.squares[0] - value * value).max(0.0);
             }
