@@ -202,8 +202,14 @@ impl Queue {
             self.park(&is_current);
             (self.level, self.is_heap) = (0, true);
         }
-        self.pop_over(f64::INFINITY, 1, is_current);
-        self.heap.peek().map(|candidate| candidate.priority)
+        loop {
+            self.unpark();
+            let first = self.heap.peek()?;
+            if is_current(first) {
+                return Some(first.priority);
+            }
+            self.heap.pop();
+        }
     }
 
     /// The next that is open.
