@@ -71,7 +71,7 @@ impl Facet {
     /// About so many of its pixels, evenly spread, if it has at least twice as many.
     #[inline(always)]
     pub fn sampled(&self, pixels: usize) -> Option<Self> {
-        Some(Facet { walk: self.walk.sampled(self.pixels / pixels)?, ..*self })
+        Some(Facet { walk: self.walk.sampled(pixels, self.pixels)?, ..*self })
     }
 
     /// The error of a candidate, in double precision.

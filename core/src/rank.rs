@@ -16,8 +16,10 @@ use crate::select::Selector;
 /// times the rounding.
 const CLEAR: f64 = 16.0;
 
-/// About so many pixels stand for those of a large triangle.
-const SAMPLE: usize = 128;
+/// About so many pixels stand for those of a large triangle where the worst of them is inserted,
+const WORST_OF: usize = 128;
+/// and where another quantile is, of which fewer tell as much.
+const QUANTILE_OF: usize = 64;
 
 /// A triangle beyond the tolerance.
 pub struct Ranked {
@@ -38,8 +40,8 @@ enum Standing {
 /// Ranks one triangle after the other.
 pub struct Ranker {
     vectors: Vectors,
-    /// Whether samples stand for the pixels of large triangles.
-    pub is_sampling: bool,
+    /// About so many pixels stand for those of large triangles, if samples do.
+    sampled: Option<usize>,
     memory: Memory,
 }
 
@@ -50,14 +52,35 @@ pub struct Memory {
     selector: Selector,
 }
 
-/// Whether a sample may stand for a triangle of so many pixels.
-pub fn is_large(pixels: usize) -> bool {
-    pixels >= 2 * SAMPLE
-}
-
 impl Ranker {
     pub fn new(vectors: Vectors) -> Self {
-        Ranker { vectors, is_sampling: false, memory: Memory::default() }
+        Ranker { vectors, sampled: None, memory: Memory::default() }
+    }
+
+    /// Lets samples stand for the pixels of large triangles,
+    pub fn start_sampling(&mut self) {
+        self.sampled = Some(WORST_OF);
+    }
+
+    /// or no longer.
+    pub fn stop_sampling(&mut self) {
+        self.sampled = None;
+    }
+
+    /// Samples, if there are some, are to be what this rule needs.
+    pub fn sample_for(&mut self, rule: &Rule) {
+        if let Some(pixels) = &mut self.sampled {
+            *pixels = if rule.candidate == 1.0 { WORST_OF } else { QUANTILE_OF };
+        }
+    }
+
+    pub fn is_sampling(&self) -> bool {
+        self.sampled.is_some()
+    }
+
+    /// Whether a sample may stand for a triangle of so many pixels.
+    pub fn is_large(&self, pixels: usize) -> bool {
+        self.sampled.is_some_and(|sampled| pixels >= 2 * sampled)
     }
 
     /// Works in the other memory.
@@ -68,11 +91,7 @@ impl Ranker {
     /// The sample that stands for the triangle.
     #[inline(always)]
     pub fn sample(&self, facet: &Facet) -> Option<Facet> {
-        if self.is_sampling {
-            facet.sampled(SAMPLE)
-        } else {
-            None
-        }
+        facet.sampled(self.sampled?)
     }
 
     /// Gives `each` of the triangles that are beyond the tolerance, by its number among them, to the caller, and returns
@@ -246,7 +265,7 @@ impl<L: Lanes, const RULE: u8> Part<L> for Large<'_, RULE> {
     fn run(self) -> (Standing, usize) {
         let Large { ranker, patch, rule, facets, i } = self;
         let facet = facets.facet(patch, i);
-        let sample = ranker.sample(&facet).map(|sample| (sample, SAMPLE));
+        let sample = ranker.sample(&facet).zip(ranker.sampled);
         let (mut standing, mut work) = (Standing::Within, 0);
         for (facet, pixels) in sample.into_iter().chain([(facet, facet.pixels)]) {
             standing = ranker.rank_by::<L, RULE>(patch, rule, &facet);

@@ -12,7 +12,7 @@ use crate::patch::Patch;
 use crate::predicate::{pixels_of, Point};
 use crate::progress::Progress;
 use crate::queue::{Candidate, Order, Pick, Queue};
-use crate::rank::{is_large, Ranked, Ranker};
+use crate::rank::{Ranked, Ranker};
 use crate::rule::{Rule, Stop};
 use crate::surface::Surface;
 use crate::triangle::{Location, Triangle};
@@ -85,22 +85,24 @@ impl Refiner {
     /// Lets samples stand for the pixels of large triangles, until it has to be
     /// [`Refiner::exact`]: a tile comes to the same points but for a few of the first.
     pub fn sampling(mut self) -> Self {
-        self.ranker.is_sampling = true;
+        self.ranker.start_sampling();
         self
     }
 
     /// Whether a sample may stand for a triangle.
     pub fn is_sampling(&self) -> bool {
-        self.ranker.is_sampling
+        self.ranker.is_sampling()
     }
 
     /// None does from when no triangle is large enough.
     pub fn note_samples(&mut self) {
-        self.ranker.is_sampling &= self.surface.mesh.triangles().iter().any(|t| self.is_large(t));
+        if !self.surface.mesh.triangles().iter().any(|t| self.is_large(t)) {
+            self.ranker.stop_sampling();
+        }
     }
 
     fn is_large(&self, triangle: &Triangle) -> bool {
-        is_large(pixels_of(triangle.v.map(|v| self.surface.mesh.point(v))))
+        self.ranker.is_large(pixels_of(triangle.v.map(|v| self.surface.mesh.point(v))))
     }
 
     /// Number of vertices that carry a height.
@@ -146,7 +148,8 @@ impl Refiner {
             // For the errors of a triangle that covers all of it, while their lists grow.
             memory::ensure(32 * patch.size())?;
         }
-        self.queue.clear(match (is_large, self.ranker.is_sampling) {
+        self.ranker.sample_for(rule);
+        self.queue.clear(match (is_large, self.ranker.is_sampling()) {
             (true, _) => Order::Curve(patch.stride() as u32),
             (_, true) => Order::Latest,
             _ => Order::Exact,
@@ -184,7 +187,7 @@ impl Refiner {
                 self.is_large(triangle) && self.ranker.sample(&self.facet(patch, t)).is_some()
             })
             .collect();
-        self.ranker.is_sampling = false;
+        self.ranker.stop_sampling();
         self.queue
             .park(|c| mesh.triangle(c.triangle).version == c.version && !is_sampled[c.triangle as usize]);
         self.enqueue_those(&is_sampled, view, patch, rule, progress)

@@ -16,9 +16,9 @@ pub const MAX_SIDE: i32 = 110;
 /// The same where the corners are pixels; larger triangles are walked by spans.
 const MAX_WHOLE_SIDE: i32 = 1 << 14;
 
-/// A sample is from at least so many rows and strips of a triangle's bounds.
-const FEWEST_ROWS: i32 = 16;
-const FEWEST_STRIPS: i32 = 4;
+/// A sample is from at least so many rows and strips of a triangle's bounds, parts of its pixels.
+const FEWEST_ROWS: i32 = 8;
+const FEWEST_STRIPS: i32 = 32;
 
 /// A triangle whose pixels are walked.
 #[derive(Clone, Copy)]
@@ -67,20 +67,21 @@ impl Walk {
         (self.strips * self.rows) as usize
     }
 
-    /// Over about one pixel of so many alone, evenly spread, if it is one of two at most and
+    /// Over about so many pixels `of` all of them, evenly spread, if these are twice as many at least and
     /// the triangle is not too large or narrow for that.
     #[inline(always)]
-    pub fn sampled(&self, ratio: usize) -> Option<Self> {
-        let ratio = ratio as i32;
+    pub fn sampled(&self, pixels: usize, of: usize) -> Option<Self> {
+        let (pixels, ratio) = (pixels as i32, (of / pixels) as i32);
         let [cols, height] = self.size();
         if ratio < 2 || !self.is_whole() || cols < NARROW || cols.max(height) >= MAX_WHOLE_SIDE {
             return None;
         }
         // As far from row to row as from strip to strip, but with some of either.
         let lanes = LANES as i32;
-        let most_rows = (height / FEWEST_ROWS).max(1);
+        let (fewest_rows, fewest_strips) = ((pixels / FEWEST_ROWS).max(1), (pixels / FEWEST_STRIPS).max(1));
+        let most_rows = (height / fewest_rows).max(1);
         let rows = ((lanes * ratio) as f32).sqrt() as i32;
-        let strips = (ratio / rows.clamp(1, most_rows)).clamp(1, (cols / (lanes * FEWEST_STRIPS)).max(1));
+        let strips = (ratio / rows.clamp(1, most_rows)).clamp(1, (cols / (lanes * fewest_strips)).max(1));
         let rows = (ratio / strips).clamp(1, most_rows);
         (strips * rows > 1).then_some(Walk { strips, rows, ..*self })
     }
