@@ -22,7 +22,7 @@ impl Desk {
         if let Some(room) = self.surface.take() {
             refiner.surface.move_to(room);
         }
-        self.swap(refiner);
+        refiner.swap(&mut self.queue, &mut self.ranker);
         Ok(())
     }
 
@@ -32,12 +32,7 @@ impl Desk {
         refiner.park();
         let compact = refiner.surface.compact();
         self.surface = Some(std::mem::replace(&mut refiner.surface, compact));
-        self.swap(refiner);
+        refiner.swap(&mut self.queue, &mut self.ranker);
         Ok(())
-    }
-
-    fn swap(&mut self, refiner: &mut Refiner) {
-        refiner.queue.swap(&mut self.queue);
-        refiner.ranker.swap(&mut self.ranker);
     }
 }

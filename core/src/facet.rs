@@ -331,20 +331,20 @@ mod tests {
         let z = vec![0.0f32; size * size];
         let grid = Grid::new(&z, size, size).unwrap();
         let patch = Patch::new(&View::of(&grid), Window { col: 0, row: 0, cols: size, rows: size }).unwrap();
-        for (col, row, lowest) in
-            [(500, 500, 200), (30, 500, 0), (500, 30, 0), (100, 100, 200), (40, 40, 200)]
+        let shapes = [(500, 500, 200), (30, 500, 0), (500, 30, 0), (100, 100, 200), (40, 40, 200)];
+        for (pixels, (col, row, lowest)) in [64, 128].into_iter().flat_map(|n| shapes.map(|shape| (n, shape)))
         {
             let p = [(0, 0), (col, 20), (5, row)].map(|(col, row)| Point::pixel(col, row));
             let facet = Facet::new(&patch, p, [0.0; 3]);
-            let Some(sample) = facet.sampled(256) else {
-                assert!(lowest == 0 || facet.pixels < 800);
+            let Some(sample) = facet.sampled(pixels) else {
+                assert!(lowest == 0 || facet.pixels < 3 * pixels);
                 continue;
             };
             let (mut all, mut some) = (List::default(), List::default());
             Vectors::best().run(Collect(&facet, &patch, &mut all));
             Vectors::best().run(Collect(&sample, &patch, &mut some));
             let (all, some) = (all.values().len(), some.values().len());
-            assert!((lowest..600).contains(&some), "{some} of {all}");
+            assert!((lowest * pixels / 256..6 * pixels).contains(&some), "{some} of {all} for {pixels}");
             let stood_for = (some * sample.thinning()) as f64 / all as f64;
             assert!((0.8..1.25).contains(&stood_for), "{some} of {all}: {stood_for}");
         }

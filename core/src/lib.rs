@@ -2,7 +2,7 @@
 //!
 //! Modules, each using only those above it: `predicate`, `curve`, `grid`, `mesh` (`check`,
 //! `constrain`), `scan`, `lanes` (`list`), `patch`, `walk`, `facet`, `noise`, `smoother` (`lines`), `scale`, `outline`,
-//! `queue`, `rule`, `rank`, `refine`, `tiles`, `outlook`, `crew`, `ladder`, `strips`, `share` (`owned`), `pyramid`, `fit` (`normal`), `blend`,
+//! `queue`, `rule`, `rank`, `scanner`, `refine`, `tiles`, `outlook`, `crew`, `ladder`, `strips`, `share` (`owned`), `pyramid`, `fit` (`normal`), `blend`,
 //! `flip`, `pipeline`; `python` is the binding.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
@@ -54,6 +54,7 @@ pub mod rule;
 pub mod scale;
 pub mod scan;
 pub mod scanned;
+mod scanner;
 pub mod seams;
 pub mod select;
 pub mod share;

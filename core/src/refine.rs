@@ -2,18 +2,18 @@
 
 use crate::error::Result;
 use crate::facet::Facet;
-use crate::facets::Facets;
 use crate::grid::Height;
 use crate::image::{Image, View};
 use crate::lanes::{Vectors, LANES};
 use crate::memory;
-use crate::mesh::{triangle_of, Class};
+use crate::mesh::triangle_of;
 use crate::patch::Patch;
 use crate::predicate::{pixels_of, Point};
 use crate::progress::Progress;
-use crate::queue::{Candidate, Order, Pick, Queue};
-use crate::rank::{Ranked, Ranker};
+use crate::queue::{self, Candidate, Order, Pick};
+use crate::rank;
 use crate::rule::{Rule, Stop};
+use crate::scanner::Scanner;
 use crate::surface::Surface;
 use crate::triangle::{Location, Triangle};
 use crate::window::Window;
@@ -51,14 +51,10 @@ pub enum Reached {
 /// A surface being refined over changing images.
 pub struct Refiner {
     pub surface: Surface,
-    pub(crate) ranker: Ranker,
-    pub(crate) queue: Queue,
+    scanner: Scanner,
     around: Vec<u32>,
     /// Triangles still to be looked at, with their versions.
     changed: Vec<(u32, u32)>,
-    /// Triangles to be looked at together, with their numbers and versions.
-    facets: Facets,
-    looked_at: Vec<(u32, u32)>,
     scaffolding: usize,
 }
 
@@ -72,12 +68,9 @@ impl Refiner {
         let scaffolding = surface.count_scaffolding();
         Refiner {
             surface,
-            ranker: Ranker::new(vectors),
-            queue: Queue::new(Order::Exact),
+            scanner: Scanner::new(vectors),
             around: Vec::new(),
             changed: Vec::new(),
-            facets: Facets::default(),
-            looked_at: Vec::new(),
             scaffolding,
         }
     }
@@ -85,24 +78,24 @@ impl Refiner {
     /// Lets samples stand for the pixels of large triangles, until it has to be
     /// [`Refiner::exact`]: a tile comes to the same points but for a few of the first.
     pub fn sampling(mut self) -> Self {
-        self.ranker.start_sampling();
+        self.scanner.ranker.start_sampling();
         self
     }
 
     /// Whether a sample may stand for a triangle.
     pub fn is_sampling(&self) -> bool {
-        self.ranker.is_sampling()
+        self.scanner.ranker.is_sampling()
     }
 
     /// None does from when no triangle is large enough.
     pub fn note_samples(&mut self) {
         if !self.surface.mesh.triangles().iter().any(|t| self.is_large(t)) {
-            self.ranker.stop_sampling();
+            self.scanner.ranker.stop_sampling();
         }
     }
 
     fn is_large(&self, triangle: &Triangle) -> bool {
-        self.ranker.is_large(pixels_of(triangle.v.map(|v| self.surface.mesh.point(v))))
+        self.scanner.ranker.is_large(pixels_of(triangle.v.map(|v| self.surface.mesh.point(v))))
     }
 
     /// Number of vertices that carry a height.
@@ -148,8 +141,8 @@ impl Refiner {
             // For the errors of a triangle that covers all of it, while their lists grow.
             memory::ensure(32 * patch.size())?;
         }
-        self.ranker.sample_for(rule);
-        self.queue.clear(match (is_large, self.ranker.is_sampling()) {
+        self.scanner.ranker.sample_for(rule);
+        self.scanner.queue.clear(match (is_large, self.scanner.ranker.is_sampling()) {
             (true, _) => Order::Curve(patch.stride() as u32),
             (_, true) => Order::Latest,
             _ => Order::Exact,
@@ -168,7 +161,7 @@ impl Refiner {
         progress: &mut Progress,
     ) -> Result<()> {
         let mut is_new = vec![true; self.surface.mesh.triangles().len()];
-        self.queue.rescan(|c| is_new[c.triangle as usize] = false);
+        self.scanner.queue.rescan(|c| is_new[c.triangle as usize] = false);
         self.enqueue_those(&is_new, view, patch, rule, progress)
     }
 
@@ -184,11 +177,12 @@ impl Refiner {
         let is_sampled: Vec<bool> = (0..)
             .zip(mesh.triangles())
             .map(|(t, triangle)| {
-                self.is_large(triangle) && self.ranker.sample(&self.facet(patch, t)).is_some()
+                self.is_large(triangle) && self.scanner.ranker.sample(&self.facet(patch, t)).is_some()
             })
             .collect();
-        self.ranker.stop_sampling();
-        self.queue
+        self.scanner.ranker.stop_sampling();
+        self.scanner
+            .queue
             .park(|c| mesh.triangle(c.triangle).version == c.version && !is_sampled[c.triangle as usize]);
         self.enqueue_those(&is_sampled, view, patch, rule, progress)
     }
@@ -243,36 +237,42 @@ impl Refiner {
         if self.changed.len() < CHANGED {
             let mesh = &self.surface.mesh;
             let is_current = |c: &Candidate| mesh.triangle(c.triangle).version == c.version;
-            if let Some(best) = self.queue.pop_rough(goal.level, is_current) {
+            if let Some(best) = self.scanner.queue.pop_rough(goal.level, is_current) {
                 return (Some(best), 0);
             }
         }
         let work = self.enqueue_changed(view, patch, rule);
         let mesh = &self.surface.mesh;
         let is_current = |c: &Candidate| mesh.triangle(c.triangle).version == c.version;
-        (self.queue.pop_over(goal.level, goal.points - self.count(), is_current), work)
+        (self.scanner.queue.pop_over(goal.level, goal.points - self.count(), is_current), work)
     }
 
     /// How many candidates wait at about which priority, once they are parked.
     pub fn waiting(&self) -> Vec<(f64, usize)> {
-        self.queue.waiting()
+        self.scanner.queue.waiting()
     }
 
     /// Whether any of them has a priority over 0.
     pub fn is_waiting(&self) -> bool {
-        self.queue.is_waiting()
+        self.scanner.queue.is_waiting()
+    }
+
+    /// Works in the other memories; what is queued must be parked.
+    pub(crate) fn swap(&mut self, queue: &mut queue::Memory, ranker: &mut rank::Memory) {
+        self.scanner.queue.swap(queue);
+        self.scanner.ranker.swap(ranker);
     }
 
     /// Has what is queued wait in no more memory than it needs.
     pub(crate) fn park(&mut self) {
         let mesh = &self.surface.mesh;
-        self.queue.park(|c| mesh.triangle(c.triangle).version == c.version);
+        self.scanner.queue.park(|c| mesh.triangle(c.triangle).version == c.version);
     }
 
     /// The highest priority that waits.
     pub fn top(&mut self) -> Option<f64> {
         let mesh = &self.surface.mesh;
-        self.queue.top(|c| mesh.triangle(c.triangle).version == c.version)
+        self.scanner.queue.top(|c| mesh.triangle(c.triangle).version == c.version)
     }
 
     /// Works off the most urgent candidate alone. `show` has the view show what lies around some corners, and puts it,
@@ -286,10 +286,10 @@ impl Refiner {
     ) -> Result<usize> {
         let mesh = &self.surface.mesh;
         let is_current = |c: &Candidate| mesh.triangle(c.triangle).version == c.version;
-        let Some(best) = self.queue.pop(1, is_current) else { return Ok(0) };
+        let Some(best) = self.scanner.queue.pop(1, is_current) else { return Ok(0) };
         show(view, patch, &mesh.corners(best.triangle))?;
         if best.pick == Pick::RESCAN {
-            return Ok(self.enqueue([best.triangle], view, patch, rule));
+            return Ok(self.scanner.scan(&self.surface, [best.triangle], view, patch, rule));
         }
         let (pixel, z, place) = self.candidate(view, patch, &best);
         self.insert((pixel, z, place));
@@ -307,8 +307,8 @@ impl Refiner {
         patch: &Patch,
         rule: &Rule,
     ) -> usize {
-        if !self.queue.is_rough() {
-            return self.enqueue([best.triangle], view, patch, rule);
+        if !self.scanner.queue.is_rough() {
+            return self.scanner.scan(&self.surface, [best.triangle], view, patch, rule);
         }
         self.changed.push((best.triangle, best.version));
         1
@@ -323,7 +323,7 @@ impl Refiner {
         best: &Candidate,
     ) -> usize {
         let candidate = self.candidate(view, patch, best);
-        if !self.queue.is_rough() {
+        if !self.scanner.queue.is_rough() {
             return self.insert_at(view, patch, rule, candidate).1;
         }
         self.insert_into(patch, candidate);
@@ -340,7 +340,7 @@ impl Refiner {
         best: &Candidate,
     ) -> ((usize, usize), f64, Location) {
         let found = match best.pick.error() {
-            Some(error) => self.ranker.find(patch, &self.facet(patch, best.triangle), error),
+            Some(error) => self.scanner.ranker.find(patch, &self.facet(patch, best.triangle), error),
             None => best.pixel as usize,
         };
         let pixel = patch.pixel(found);
@@ -386,10 +386,7 @@ impl Refiner {
     /// Queues the triangles around the last vertex. Returns the work done in pixels.
     #[inline]
     fn enqueue_around<T: Height>(&mut self, view: &View<T>, patch: &Patch, rule: &Rule) -> usize {
-        let around = std::mem::take(&mut self.around);
-        let work = self.enqueue(around.iter().copied(), view, patch, rule);
-        self.around = around;
-        INSERTION + work
+        INSERTION + self.scanner.scan(&self.surface, self.around.iter().copied(), view, patch, rule)
     }
 
     /// Scans and queues what has changed, as far as it is still there. Returns the work done in pixels.
@@ -398,14 +395,11 @@ impl Refiner {
             return 0;
         }
         let mut changed = std::mem::take(&mut self.changed);
-        let mut work = 0;
-        for (t, version) in changed.drain(..) {
-            if self.surface.mesh.triangle(t).version == version {
-                work += self.look_at(t, view, patch, rule);
-            }
-        }
+        let mesh = &self.surface.mesh;
+        let current = changed.drain(..).filter(|&(t, version)| mesh.triangle(t).version == version);
+        let work = self.scanner.scan(&self.surface, current.map(|(t, _)| t), view, patch, rule);
         self.changed = changed;
-        work + self.look(view, patch, rule)
+        work
     }
 
     /// Scans and queues the triangles that are marked.
@@ -419,56 +413,9 @@ impl Refiner {
     ) -> Result<()> {
         let mut marked = (0..).zip(marked).filter(|(_, is_marked)| **is_marked).map(|(t, _)| t).peekable();
         while marked.peek().is_some() {
-            let work = self.enqueue(marked.by_ref().take(LANES), view, patch, rule);
+            let work = self.scanner.scan(&self.surface, marked.by_ref().take(LANES), view, patch, rule);
             progress.poll(work, || 0.0)?;
         }
         Ok(())
-    }
-
-    /// Scans triangles and queues their candidates unless they are within the
-    /// tolerance. Returns the work done in pixels.
-    #[inline]
-    fn enqueue<T: Height>(
-        &mut self,
-        triangles: impl IntoIterator<Item = u32>,
-        view: &View<T>,
-        patch: &Patch,
-        rule: &Rule,
-    ) -> usize {
-        let mut work = 0;
-        for t in triangles {
-            work += self.look_at(t, view, patch, rule);
-        }
-        work + self.look(view, patch, rule)
-    }
-
-    /// Notes a triangle that is to be looked at; when there are as many as lanes, they are.
-    #[inline(always)]
-    fn look_at<T: Height>(&mut self, t: u32, view: &View<T>, patch: &Patch, rule: &Rule) -> usize {
-        let triangle = self.surface.mesh.triangle(t);
-        if triangle.class() == Class::Data {
-            self.looked_at.push((t, triangle.version));
-            self.facets.push(self.surface.mesh.corners(t), self.surface.heights(t));
-            if self.looked_at.len() == LANES {
-                return self.look(view, patch, rule);
-            }
-        }
-        0
-    }
-
-    /// Scans the triangles that are to be looked at.
-    #[inline]
-    fn look<T: Height>(&mut self, view: &View<T>, patch: &Patch, rule: &Rule) -> usize {
-        if self.looked_at.is_empty() {
-            return 0;
-        }
-        let Refiner { ranker, queue, facets, looked_at, .. } = self;
-        let work = ranker.rank(view, patch, rule, facets, |i, Ranked { priority, place, pick }| {
-            let (triangle, version) = looked_at[i];
-            queue.push(Candidate { priority, pixel: place as u32, triangle, version, pick });
-        });
-        facets.clear();
-        looked_at.clear();
-        work
     }
 }
