@@ -5,6 +5,7 @@ mod common;
 
 use common::{hash, method, terrain, unit};
 use criterion::{criterion_group, criterion_main, Criterion, Throughput};
+use dem2tin_core::candidate::{Candidate, Pick};
 use dem2tin_core::facet::Facet;
 use dem2tin_core::grid::{Grid, Height};
 use dem2tin_core::image::View;
@@ -14,7 +15,7 @@ use dem2tin_core::patch::Patch;
 use dem2tin_core::pipeline::triangulate;
 use dem2tin_core::predicate::{orient2d, Metric, Point};
 use dem2tin_core::progress::Progress;
-use dem2tin_core::queue::{Candidate, Order, Pick, Queue};
+use dem2tin_core::queue::{Order, Queue};
 use dem2tin_core::rule::quantile_index;
 use dem2tin_core::scanned::Scan;
 use dem2tin_core::select::Selector;

@@ -2,13 +2,14 @@
 //!
 //! Modules, each using only those above it: `predicate`, `curve`, `grid`, `mesh` (`check`,
 //! `constrain`), `scan`, `lanes` (`list`), `patch`, `walk`, `facet`, `noise`, `smoother` (`lines`), `scale`, `outline`,
-//! `queue`, `rule`, `rank`, `scanner`, `refine`, `tiles`, `outlook`, `crew`, `ladder`, `strips`, `share` (`owned`), `pyramid`, `fit` (`normal`), `blend`,
+//! `candidate`, `queue`, `rule`, `rank`, `scanner`, `refine`, `tiles`, `outlook`, `crew`, `ladder`, `strips`, `share` (`owned`), `pyramid`, `fit` (`normal`), `blend`,
 //! `flip`, `pipeline`; `python` is the binding.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod beside;
 pub mod blend;
+pub mod candidate;
 pub mod check;
 pub mod constrain;
 mod crew;

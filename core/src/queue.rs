@@ -1,66 +1,9 @@
 //! The queue of candidates: lazy, in buckets of like priority.
 
+use crate::candidate::{Candidate, Pick};
 use crate::curve::curve_position;
-use std::cmp::{Ordering, Reverse};
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
-
-/// A triangle's candidate. Ordered by priority, then by pixel (first in raster
-/// order wins), then by triangle, so that equal errors never leave a choice.
-#[derive(Clone, Copy, Debug)]
-pub struct Candidate {
-    pub priority: f64,
-    /// Number of the pixel to insert, in raster order, or of one near it.
-    pub pixel: u32,
-    pub triangle: u32,
-    /// Version of the triangle the candidate was found for.
-    pub version: u32,
-    pub pick: Pick,
-}
-
-/// How the pixel to insert is to be found. (A number: an enumeration would take twice the memory.)
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pick(f32);
-
-impl Pick {
-    /// It is known.
-    pub const KNOWN: Pick = Pick(-1.0);
-    /// By a new scan of the triangle: its priority may have changed.
-    pub const RESCAN: Pick = Pick(-2.0);
-
-    /// It is the one with this error, 0 or more.
-    pub fn by_error(error: f32) -> Self {
-        Pick(error)
-    }
-
-    /// The error by which to find it, if that is the way.
-    pub fn error(self) -> Option<f32> {
-        (self.0 >= 0.0).then_some(self.0)
-    }
-}
-
-impl Ord for Candidate {
-    fn cmp(&self, other: &Self) -> Ordering {
-        self.priority
-            .total_cmp(&other.priority)
-            .then_with(|| other.pixel.cmp(&self.pixel))
-            .then_with(|| other.triangle.cmp(&self.triangle))
-            .then_with(|| self.version.cmp(&other.version))
-    }
-}
-
-impl PartialOrd for Candidate {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl PartialEq for Candidate {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other) == Ordering::Equal
-    }
-}
-
-impl Eq for Candidate {}
 
 /// Bits of a priority that name its bucket: exponent and four of the mantissa.
 const BUCKET_SHIFT: u32 = 52 - 4;
@@ -108,10 +51,6 @@ pub enum Order {
     /// pixel numbers from one row to the next.
     Curve(u32),
 }
-
-/// Any order is exact where a bucket holds more than this share of the points that may still be
-/// inserted, so that a stop by count does not favour one corner.
-const LAST_SHARE: usize = 1;
 
 impl Queue {
     pub fn new(order: Order) -> Self {
@@ -327,7 +266,8 @@ impl Queue {
             }
             let mut bucket = self.next_bucket()?;
             bucket.retain(&is_current);
-            self.is_heap = self.order == Order::Exact || bucket.len() >= remaining / LAST_SHARE;
+            // Where not all of it may be inserted the most urgent come first, so that no corner is favoured.
+            self.is_heap = self.order == Order::Exact || bucket.len() >= remaining;
             if self.is_heap {
                 self.heap = BinaryHeap::from(bucket);
                 continue;

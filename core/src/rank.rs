@@ -1,5 +1,6 @@
 //! Where a triangle stands against the rule: its priority, and how its pixel is to be found.
 
+use crate::candidate::Pick;
 use crate::facet::Facet;
 use crate::facets::Facets;
 use crate::grid::Height;
@@ -7,7 +8,6 @@ use crate::image::View;
 use crate::lanes::{Kernel, Lanes, Part, Vectors, LANES};
 use crate::list::List;
 use crate::patch::Patch;
-use crate::queue::Pick;
 use crate::rule::{quantile_index, Rule};
 use crate::scanned::{Found, Scan};
 use crate::select::Selector;

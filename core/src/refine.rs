@@ -1,5 +1,6 @@
 //! Greedy refinement: Algorithm 1 of the paper by any rule.
 
+use crate::candidate::{Candidate, Pick};
 use crate::error::Result;
 use crate::facet::Facet;
 use crate::grid::Height;
@@ -10,7 +11,7 @@ use crate::mesh::triangle_of;
 use crate::patch::Patch;
 use crate::predicate::{pixels_of, Point};
 use crate::progress::Progress;
-use crate::queue::{self, Candidate, Order, Pick};
+use crate::queue::{self, Order};
 use crate::rank;
 use crate::rule::{Rule, Stop};
 use crate::scanner::Scanner;

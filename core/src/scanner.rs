@@ -1,12 +1,13 @@
 //! Triangles scanned together, and their candidates in the queue.
 
+use crate::candidate::Candidate;
 use crate::facets::Facets;
 use crate::grid::Height;
 use crate::image::View;
 use crate::lanes::{Vectors, LANES};
 use crate::mesh::Class;
 use crate::patch::Patch;
-use crate::queue::{Candidate, Order, Queue};
+use crate::queue::{Order, Queue};
 use crate::rank::{Ranked, Ranker};
 use crate::rule::Rule;
 use crate::surface::Surface;
