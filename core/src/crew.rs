@@ -89,7 +89,7 @@ impl Crew {
 
     /// What waits in each of them.
     pub fn waiting(&self) -> Vec<Waiting> {
-        self.tiles.iter().map(|tile| tile.refiner.waiting()).collect()
+        self.tiles.iter().map(|tile| tile.waiting.clone()).collect()
     }
 
     /// Whether nothing is left to do, at whatever level.
@@ -167,6 +167,7 @@ impl Crew {
             tile.refiner.refine(&view, &mut patch, rule, goal, progress)?;
             tile.refiner.note_samples();
             desk.clear(&mut tile.refiner)?;
+            tile.waiting = tile.refiner.waiting();
             desks.lock().unwrap_or_else(PoisonError::into_inner).push(desk);
             idle.lock().unwrap_or_else(PoisonError::into_inner).push(view);
             Ok(())
@@ -187,7 +188,7 @@ impl Tile {
 
     /// Whether it could go on.
     pub fn is_waiting(&self) -> bool {
-        self.refiner.is_waiting()
+        self.waiting.iter().any(|&(priority, _)| priority > 0.0)
     }
 
     /// The heights of the tile, after its new seam vertices have been inserted.

@@ -2,7 +2,7 @@
 //!
 //! Modules, each using only those above it: `predicate`, `curve`, `grid`, `mesh` (`check`,
 //! `constrain`), `scan`, `lanes` (`list`), `patch`, `walk`, `facet`, `noise`, `smoother` (`lines`), `scale`, `outline`,
-//! `candidate`, `queue`, `rule`, `rank`, `scanner`, `refine`, `tiles`, `outlook`, `crew`, `ladder`, `strips`, `share` (`owned`), `pyramid`, `fit` (`normal`), `blend`,
+//! `candidate`, `queue`, `rule`, `rank`, `scanner`, `refine`, `outlook`, `tiles`, `crew`, `ladder`, `strips`, `share` (`owned`), `pyramid`, `fit` (`normal`), `blend`,
 //! `flip`, `pipeline`; `python` is the binding.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]

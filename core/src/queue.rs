@@ -81,11 +81,6 @@ impl Queue {
         }))
     }
 
-    /// Whether any that is parked has a priority over 0.
-    pub fn is_waiting(&self) -> bool {
-        self.parked.iter().rev().any(|candidate| candidate.priority > 0.0)
-    }
-
     /// Works in the other memory; what waits must be parked.
     pub fn swap(&mut self, memory: &mut Memory) {
         std::mem::swap(&mut self.memory, memory);

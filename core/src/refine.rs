@@ -253,11 +253,6 @@ impl Refiner {
         self.scanner.queue.waiting()
     }
 
-    /// Whether any of them has a priority over 0.
-    pub fn is_waiting(&self) -> bool {
-        self.scanner.queue.is_waiting()
-    }
-
     /// Works in the other memories; what is queued must be parked.
     pub(crate) fn swap(&mut self, queue: &mut queue::Memory, ranker: &mut rank::Memory) {
         self.scanner.queue.swap(queue);

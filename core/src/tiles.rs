@@ -4,6 +4,7 @@ use crate::error::Result;
 use crate::memory;
 use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
 use crate::order::by_place;
+use crate::outlook::Waiting;
 use crate::patch::Frame;
 use crate::predicate::{orient2d, Metric, Point};
 use crate::progress::Progress;
@@ -26,6 +27,8 @@ pub struct Tile {
     /// numbers in the whole.
     shared: Vec<(u32, u32)>,
     pub queued: Queued,
+    /// How many candidates waited at about which priority when it was last worked on.
+    pub waiting: Waiting,
 }
 
 /// The image whose errors a tile's queue has.
@@ -141,6 +144,7 @@ pub fn cut(surface: Surface, tiling: &Tiling) -> Result<(Shared, Vec<Tile>)> {
             refiner: Refiner::new(part).sampling(),
             shared,
             queued: Queued::Nothing,
+            waiting: Waiting::new(),
         });
     }
     let metric = mesh.metric();
