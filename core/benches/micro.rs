@@ -65,7 +65,7 @@ impl Kernel for Collect<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> f32 {
-        self.0.collect::<L, false>(self.1, self.2).error
+        self.0.collect::<L>(self.1, self.2)
     }
 }
 

@@ -45,8 +45,8 @@ impl Scan for Facet {
     }
 
     #[inline(always)]
-    fn thinning(&self) -> usize {
-        self.walk.thinning()
+    fn area(&self) -> f64 {
+        self.pixels as f64
     }
 
     #[inline(always)]
@@ -228,6 +228,8 @@ mod tests {
     use crate::grid::Grid;
     use crate::list::List;
     use crate::predicate::orient2d;
+    use crate::rule::quantile_index;
+    use crate::select::of_eight;
     use crate::window::Window;
     use proptest::prelude::*;
 
@@ -245,13 +247,26 @@ mod tests {
     struct Collect<'a>(&'a Facet, &'a Patch, &'a mut List);
 
     impl Kernel for Collect<'_> {
-        type Output = Found;
+        type Output = f32;
 
         #[inline(always)]
-        fn run<L: Lanes>(self) -> Found {
-            let found = self.0.collect::<L, true>(self.1, self.2);
-            assert_eq!(self.0.collect::<L, false>(self.1, self.2).error, found.error);
-            found
+        fn run<L: Lanes>(self) -> f32 {
+            self.0.collect::<L>(self.1, self.2)
+        }
+    }
+
+    struct Groups<'a>(&'a Facet, &'a Patch);
+
+    impl Kernel for Groups<'_> {
+        type Output = (Found, [f32; LANES], f32);
+
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Self::Output {
+            let (found, groups) = self.0.groups::<L>(self.1);
+            let mut all = [0.0; LANES];
+            L::store(groups, &mut all);
+            all.sort_by(f32::total_cmp);
+            (found, all, of_eight::<L>(groups, 0.5))
         }
     }
 
@@ -288,14 +303,24 @@ mod tests {
             let bound = facet.rounding(largest as f32);
             let error_at = |place: usize| expected.iter().find(|e| e.0 as usize == place).unwrap().1;
             let (mut plain, mut best) = (List::default(), List::default());
-            let found = Vectors::Plain.run(Collect(&facet, &patch, &mut plain));
-            let worst = Vectors::Plain.run(FindWorst(&facet, &patch));
+            let found = Vectors::Plain.run(FindWorst(&facet, &patch));
+            let groups = Vectors::Plain.run(Groups(&facet, &patch));
+            prop_assert_eq!(Vectors::Plain.run(Collect(&facet, &patch, &mut plain)), found.error);
             for vectors in Vectors::all() {
-                prop_assert_eq!(vectors.run(Collect(&facet, &patch, &mut best)), found);
+                prop_assert_eq!(vectors.run(Collect(&facet, &patch, &mut best)), found.error);
                 prop_assert_eq!(plain.values(), best.values());
-                prop_assert_eq!(vectors.run(FindWorst(&facet, &patch)), worst);
+                prop_assert_eq!(vectors.run(FindWorst(&facet, &patch)), found);
+                prop_assert_eq!(vectors.run(Groups(&facet, &patch)), groups);
             }
-            prop_assert_eq!((worst, plain.values().len()), (found, expected.len()));
+            prop_assert_eq!((groups.0, plain.values().len()), (found, expected.len()));
+            let largest_of = |group: i32| expected.iter().filter(|e| e.0 % LANES as i32 == group).fold(-1.0f64, |a, b| a.max(b.1));
+            let mut of_groups: Vec<f64> = (0..LANES as i32).map(largest_of).collect();
+            of_groups.sort_by(f64::total_cmp);
+            let there: Vec<f64> = of_groups.iter().copied().filter(|&error| error >= 0.0).collect();
+            prop_assert!(groups.1.iter().zip(&of_groups).all(|(&a, b)| (f64::from(a) - b).abs() <= bound));
+            if !there.is_empty() {
+                prop_assert!((f64::from(groups.2) - there[quantile_index(there.len(), 0.5)]).abs() <= bound);
+            }
             if found.error >= 0.0 {
                 prop_assert!((f64::from(found.error) - error_at(found.place)).abs() <= bound);
                 prop_assert!((f64::from(found.error) - largest).abs() <= bound);
@@ -312,9 +337,10 @@ mod tests {
                 prop_assert!((f64::from(error) - error_at(found.place)).abs() <= bound);
             }
             if let Some(sample) = facet.sampled(16) {
-                let found = Vectors::Plain.run(Collect(&sample, &patch, &mut plain));
+                let found = Vectors::Plain.run(FindWorst(&sample, &patch));
+                prop_assert_eq!(Vectors::Plain.run(Collect(&sample, &patch, &mut plain)), found.error);
                 for vectors in Vectors::all() {
-                    prop_assert_eq!(vectors.run(Collect(&sample, &patch, &mut best)), found);
+                    prop_assert_eq!(vectors.run(Collect(&sample, &patch, &mut best)), found.error);
                     prop_assert_eq!(plain.values(), best.values());
                     prop_assert_eq!(vectors.run(FindWorst(&sample, &patch)), found);
                 }
@@ -345,7 +371,7 @@ mod tests {
             Vectors::best().run(Collect(&sample, &patch, &mut some));
             let (all, some) = (all.values().len(), some.values().len());
             assert!((lowest * pixels / 256..6 * pixels).contains(&some), "{some} of {all} for {pixels}");
-            let stood_for = (some * sample.thinning()) as f64 / all as f64;
+            let stood_for = (some * sample.walk.thinning()) as f64 / all as f64;
             assert!((0.8..1.25).contains(&stood_for), "{some} of {all}: {stood_for}");
         }
     }

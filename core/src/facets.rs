@@ -48,6 +48,13 @@ struct Ready {
     first: [Ints; 2],
 }
 
+impl Ready {
+    #[inline(always)]
+    fn edge(&self, k: usize, i: usize) -> Edge {
+        Edge { at: self.edges[k][i], across: self.across[k][i], down: self.down[k][i] }
+    }
+}
+
 impl Facets {
     pub fn clear(&mut self) {
         self.count = 0;
@@ -132,6 +139,59 @@ impl Facets {
     pub fn narrow(&self, i: usize) -> Option<Narrow<'_>> {
         (self.ready.cols[i] < NARROW && self.ready.rows[i] < MAX_SIDE).then_some(Narrow { facets: self, i })
     }
+
+    /// Corners in the patch.
+    #[inline(always)]
+    pub fn local(&self, patch: &Patch, i: usize) -> [Point; 3] {
+        let (p, _) = self.triangle(i);
+        p.map(|p| patch.local(p))
+    }
+
+    /// The triangle, if neither its columns nor its rows are too many.
+    #[inline(always)]
+    pub fn low(&self, i: usize) -> Option<Low> {
+        let Ready { left, top, cols, rows, start, per_col, per_row, z0, .. } = &self.ready;
+        (cols[i] < MAX_SIDE && rows[i] < MAX_SIDE).then(|| Low {
+            edges: [self.ready.edge(0, i), self.ready.edge(1, i), self.ready.edge(2, i)],
+            bounds: [left[i], top[i], left[i] + cols[i], top[i] + rows[i]],
+            start: start[0][i],
+            per_col: per_col[i],
+            per_row: per_row[i],
+            z0: z0[i],
+        })
+    }
+}
+
+/// A triangle that is not too large for its edge functions.
+pub struct Low {
+    /// At the first pixel of the bounds; they add up to twice the area.
+    pub edges: [Edge; 3],
+    /// First column and row, last column and row in the patch.
+    pub bounds: [i32; 4],
+    /// The plane at the first pixel, over the reference of the patch, and its slopes.
+    pub start: f64,
+    pub per_col: f64,
+    pub per_row: f64,
+    /// The height of the first corner likewise.
+    pub z0: f64,
+}
+
+impl Low {
+    /// The hats of the second and the third corner, each as c + x dx + y dy of the columns x from the first one of the
+    /// bounds on and the rows y from the last one up, that being 1.
+    #[inline(always)]
+    pub fn hats(&self) -> [f64; 6] {
+        let [a, b, c] = &self.edges;
+        let scale = 1.0 / (f64::from(a.at) + f64::from(b.at) + f64::from(c.at));
+        let [_, top, _, bottom] = self.bounds;
+        let rows = f64::from(bottom + 1 - top);
+        let hat = |edge: &Edge| {
+            let [at, across, down] = [edge.at, edge.across, edge.down].map(|v| f64::from(v) * scale);
+            [at + rows * down, across, -down]
+        };
+        let ([b0, bx, by], [c0, cx, cy]) = (hat(c), hat(a));
+        [b0, bx, by, c0, cx, cy]
+    }
 }
 
 #[inline(always)]
@@ -174,10 +234,8 @@ impl Scan for Narrow<'_> {
         let Narrow { facets: Facets { ready, .. }, i } = *self;
         let at = ready.top[i] as usize * patch.stride() + ready.left[i] as usize;
         let rows = (ready.rows[i] + 1) as usize;
-        let edge =
-            |k: usize| Edge { at: ready.edges[k][i], across: ready.across[k][i], down: ready.down[k][i] };
         let strips = Strips::<L> {
-            edges: [edge(0), edge(1), edge(2)],
+            edges: [ready.edge(0, i), ready.edge(1, i), ready.edge(2, i)],
             starts: [ready.start[0][i] as f32, ready.start[1][i] as f32],
             slopes: [ready.per_col[i] as f32, ready.per_row[i] as f32],
             rows: [0.0, 1.0],
@@ -204,8 +262,9 @@ impl Scan for Narrow<'_> {
     }
 
     #[inline(always)]
-    fn thinning(&self) -> usize {
-        1
+    fn area(&self) -> f64 {
+        let [a, b, c] = [0, 1, 2].map(|k| f64::from(self.facets.ready.edges[k][self.i]));
+        (a + b + c) * (0.5 / f64::from(UNIT * UNIT))
     }
 
     #[inline(always)]
@@ -247,11 +306,10 @@ mod tests {
                 let (facet, narrow) = (facets.facet(patch, i), facets.narrow(i)?);
                 let (mut a, mut b) = (List::default(), List::default());
                 let if_any = |found: Found| (found.error >= 0.0).then_some(found);
-                let worst =
-                    [facet.collect::<L, true>(patch, &mut a), narrow.collect::<L, true>(patch, &mut b)];
-                assert_eq!(worst[1].error, narrow.collect::<L, false>(patch, &mut b).error);
+                let largest = [facet.collect::<L>(patch, &mut a), narrow.collect::<L>(patch, &mut b)];
+                let worst = [facet.worst::<L>(patch), narrow.worst::<L>(patch)];
+                assert_eq!(largest, worst.map(|found| found.error));
                 let worst = worst.map(if_any);
-                assert_eq!(worst, [facet.worst::<L>(patch), narrow.worst::<L>(patch)].map(if_any));
                 Some([
                     (sorted(&a), worst[0], facet.highest(), facet.is_exact(), facet.first(patch)),
                     (sorted(&b), worst[1], narrow.highest(), narrow.is_exact(), narrow.first(patch)),

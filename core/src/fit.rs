@@ -2,6 +2,7 @@
 
 use crate::error::Result;
 use crate::grid::{extent, Grid, Height};
+use crate::lanes::{Vectors, LANES};
 use crate::memory;
 use crate::mesh::{next, triangle_of, Mesh};
 use crate::normal::{Scratch, Systems};
@@ -9,8 +10,9 @@ use crate::order::runs;
 use crate::patch::Patch;
 use crate::predicate::Point;
 use crate::progress::Progress;
-use crate::pyramid::Beside;
-use crate::share::Share;
+use crate::scan::Plane;
+use crate::share::{owned, Residual, Share};
+use crate::shares::Shares;
 use crate::surface::Surface;
 use crate::threads::{chunks, spread};
 use std::ops::Range;
@@ -76,16 +78,37 @@ impl Fit {
         is_changed: &[bool],
         progress: &mut Progress,
     ) -> Result<()> {
-        let unit = self.unit;
+        let (unit, vectors, stands) = (self.unit, Vectors::best(), std::mem::take(&mut self.stands));
         self.for_each_run(progress, |run, shares| {
             let is_data = |t: u32| !surface.mesh.triangle(t).is_void();
-            let changed = || run.clone().map(|t| t as u32).filter(|&t| is_changed[t as usize] && is_data(t));
-            let patch = patch_of(surface, changed, target);
-            for t in changed() {
-                shares[t as usize - run.start] =
-                    Share::of_heights(surface, t, (target, unit), patch.as_ref());
+            let range = run.start as u32..run.end as u32;
+            let changed: Vec<u32> = range.filter(|&t| is_changed[t as usize] && is_data(t)).collect();
+            let corners = |t: u32| (surface.mesh.corners(t), surface.heights(t));
+            let by_rows = |t: u32| {
+                let ((p, z), owned) = (corners(t), owned(surface, t));
+                Share::by_rows(p, owned, &Residual { target, plane: Plane::through(p, z), scale: 1.0 / unit })
+            };
+            let patch = patch_of(surface, &changed, target);
+            let mut eight = Shares::default();
+            for triangles in changed.chunks(LANES) {
+                let seen = match &patch {
+                    Some(patch) => {
+                        for &t in triangles {
+                            let ((p, z), v) = (corners(t), surface.mesh.triangle(t).v);
+                            let stands = v.map(|v| stands[v as usize]);
+                            eight.push(p, [z, stands], owned(surface, t));
+                        }
+                        eight.take(patch, unit, vectors)
+                    }
+                    None => [None; LANES],
+                };
+                for (&t, seen) in triangles.iter().zip(seen) {
+                    shares[t as usize - run.start] = seen.unwrap_or_else(|| by_rows(t));
+                }
             }
-        })
+        })?;
+        self.stands = stands;
+        Ok(())
     }
 
     /// Takes in the heights that the vertices have got. Errors: `cancelled`.
@@ -121,16 +144,16 @@ impl Fit {
         Ok(())
     }
 
-    /// Of the triangles on both sides of an edge.
+    /// What is known of the errors on both sides of an edge, as [`Quads`](crate::quads::Quads) have it.
     #[inline(always)]
-    pub fn beside(&self, mesh: &Mesh, h: u32) -> Beside {
+    pub fn beside(&self, mesh: &Mesh, h: u32) -> ([f64; 2], [f64; 2]) {
         let twin = mesh.twin(h);
         let (left, right) = (&self.shares[triangle_of(h) as usize], &self.shares[triangle_of(twin) as usize]);
         let side = |share: &Share<1>, h: u32| f64::from(share.sides[(h & 3) as usize][0]);
         let origin = side(left, h) + side(right, next(twin));
         let dest = side(left, next(h)) + side(right, twin);
         let squares = [right, left].map(|share| f64::from(share.squares[0]) * (self.unit * self.unit));
-        Beside { ends: [origin * self.unit, dest * self.unit], squares }
+        ([origin * self.unit, dest * self.unit], squares)
     }
 
     fn for_each_run(
@@ -166,13 +189,9 @@ pub fn unit_of(surface: &Surface) -> f64 {
 }
 
 /// The heights under some triangles.
-fn patch_of<T: Height, I: Iterator<Item = u32>>(
-    surface: &Surface,
-    triangles: impl Fn() -> I,
-    target: &Grid<T>,
-) -> Option<Patch> {
-    let [reference, ..] = surface.heights(triangles().next()?);
-    Patch::near(target, triangles().map(|t| surface.mesh.corners(t)), reference)
+fn patch_of<T: Height>(surface: &Surface, triangles: &[u32], target: &Grid<T>) -> Option<Patch> {
+    let [reference, ..] = surface.heights(*triangles.first()?);
+    Patch::near(target, triangles.iter().map(|&t| surface.mesh.corners(t)), reference)
 }
 
 /// The height of the image where vertex `v` stands, NaN for scaffolding: lest it is seen by hardly any pixel and

@@ -3,12 +3,14 @@
 use crate::error::Result;
 use crate::fit::Fit;
 use crate::grid::{Grid, Height};
-use crate::lanes::Vectors;
+use crate::lanes::{Vectors, LANES};
 use crate::memory;
 use crate::mesh::{half_edge, triangle_of, Mesh, NONE};
 use crate::patch::Patch;
+use crate::predicate::orient2d;
 use crate::progress::Progress;
-use crate::pyramid::{Pyramid, Quad};
+use crate::pyramid;
+use crate::quads::Quads;
 use crate::surface::Surface;
 use crate::threads::spread;
 use std::ops::Range;
@@ -52,23 +54,16 @@ fn chosen(most: usize, edges: impl Iterator<Item = u32>, is_wanted: impl Fn(&u32
     chosen
 }
 
-/// Half-edges by run of triangles.
-fn by_run(mut edges: Vec<u32>, runs: &[Range<usize>]) -> Vec<Vec<u32>> {
-    edges.sort_unstable();
-    let mut rest = &edges[..];
-    let mut parts = Vec::new();
-    for run in runs {
-        let (part, others) = rest.split_at(rest.partition_point(|&h| (triangle_of(h) as usize) < run.end));
-        parts.extend(Some(part).filter(|part| !part.is_empty()).map(<[u32]>::to_vec));
-        rest = others;
-    }
-    parts
-}
-
 /// Corners of the quadrilateral around an edge, from the origin of the edge on.
 #[inline(always)]
 fn corners(mesh: &Mesh, h: u32) -> [u32; 4] {
     [mesh.origin(h), mesh.apex(mesh.twin(h)), mesh.dest(h), mesh.apex(h)]
+}
+
+/// Whether the quadrilateral around an edge is strictly so.
+fn is_convex(mesh: &Mesh, h: u32) -> bool {
+    let [a, b, c, d] = corners(mesh, h).map(|v| mesh.point(v));
+    orient2d(d, a, b) > 0 && orient2d(d, b, c) > 0
 }
 
 /// The edges among these whose flip lowers the squared error, and by how much, the best first.
@@ -79,30 +74,51 @@ fn gains<T: Height>(
     edges: &[u32],
 ) -> Vec<(f64, u32)> {
     let mesh = &surface.mesh;
-    let quad = |h: u32| {
+    let around = |h: u32| {
         let v = corners(mesh, h);
-        Quad::new(v.map(|v| mesh.point(v)), v.map(|v| surface.z[v as usize]))
+        (v.map(|v| mesh.point(v)), v.map(|v| surface.z[v as usize]))
     };
-    let may_gain = |&h: &u32| {
-        let quad = quad(h);
-        quad.is_convex() & fit.is_none_or(|fit| quad.may_gain(fit.beside(mesh, h)))
-    };
-    let candidates = chosen(edges.len(), edges.iter().copied(), may_gain);
-    let quads: Vec<(Quad, u32)> = candidates.into_iter().map(|h| (quad(h), h)).collect();
-    let Some((first, _)) = quads.first() else { return Vec::new() };
-    let patch = Patch::near(target, quads.iter().map(|(quad, _)| quad.p), first.z[0]);
-    let vectors = Vectors::best();
-    let gain = |quad: &Quad| Pyramid::over(quad).gain(target, patch.as_ref(), vectors);
-    let mut gains: Vec<_> = quads.iter().filter_map(|(quad, h)| Some((gain(quad)?, *h))).collect();
+    let (vectors, mut quads) = (Vectors::best(), Quads::default());
+    let (mut candidates, mut count) = (vec![0; edges.len() + 1], 0);
+    for edges in edges.chunks(LANES) {
+        quads.clear();
+        for &h in edges {
+            let (p, z) = around(h);
+            quads.push(p, z);
+            if let Some(fit) = fit {
+                let (ends, squares) = fit.beside(mesh, h);
+                quads.know(ends, squares);
+            }
+        }
+        let may = quads.may_gain(vectors);
+        // Which ones can not be foreseen: no branch.
+        for (i, &h) in edges.iter().enumerate() {
+            candidates[count] = h;
+            count += (may >> i & 1) as usize;
+        }
+    }
+    candidates.truncate(count);
+    let Some(&first) = candidates.first() else { return Vec::new() };
+    let patch = Patch::near(target, candidates.iter().map(|&h| around(h).0), around(first).1[0]);
+    let mut gains = Vec::new();
+    for candidates in candidates.chunks(LANES) {
+        quads.clear();
+        for &h in candidates {
+            let (p, z) = around(h);
+            quads.push(p, z);
+        }
+        let gained = pyramid::gains(&quads, target, patch.as_ref(), vectors);
+        gains.extend(gained.into_iter().zip(candidates).filter_map(|(gain, &h)| Some((gain?, h))));
+    }
     gains.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     gains
 }
 
 /// Looks at every edge of the triangles that are open, and flips those whose flip lowers the sum of squared errors
-/// against `target`, the best first; where the flip of a neighbour was better, the edge is looked at once more.
-/// `runs`: of triangles that are near each other. `fit`, if there is one, tells without a look at the pixels which flips
-/// cannot gain. Returns the number of flips, and marks the triangles that have changed as open, no others; the mesh is
-/// then no longer Delaunay. Errors: `out-of-memory`, `cancelled`.
+/// against `target`, of one run of triangles the best first; next to a flip no other one is made. `runs`: of triangles that are near
+/// each other. `fit`, if there is one, tells without a look at the pixels which flips cannot gain. Returns the number of
+/// flips, and marks the triangles that have changed as open, no others; the mesh is then no longer Delaunay. Errors:
+/// `out-of-memory`, `cancelled`.
 pub fn flip_pass<T: Height>(
     surface: &mut Surface,
     target: &Grid<T>,
@@ -112,34 +128,25 @@ pub fn flip_pass<T: Height>(
     progress: &mut Progress,
 ) -> Result<usize> {
     memory::ensure(24 * is_open.len())?;
-    let mut open = edges(&surface.mesh, runs, is_open, progress)?;
-    let mut is_new = vec![false; is_open.len()];
-    // What it tells is known of the mesh as it was.
-    let mut fit = fit;
-    let mut changed = Vec::new();
-    while !open.is_empty() {
-        let gains = spread(progress, open.iter(), |edges, progress| {
-            progress.poll(64 * edges.len(), || 0.0)?;
-            Ok(gains(surface, target, fit, edges))
-        })?;
-        let (first, mut again) = (changed.len(), Vec::new());
-        for (_, h) in gains.into_iter().flatten() {
-            let pair = [h, surface.mesh.twin(h)].map(triangle_of);
-            if pair.iter().any(|&t| is_new[t as usize]) {
-                again.push(h);
-            } else {
-                surface.mesh.flip(h);
-                pair.iter().for_each(|&t| is_new[t as usize] = true);
-                changed.extend(pair);
-            }
-        }
-        // Half-edges next to a flip have become those of other edges.
-        again.retain(|&h| is_free(&surface.mesh, h));
-        open = by_run(again, runs);
-        fit = None;
-        changed[first..].iter().for_each(|&t| is_new[t as usize] = false);
-    }
+    let open = edges(&surface.mesh, runs, is_open, progress)?;
+    let gains = spread(progress, open.iter(), |edges, progress| {
+        progress.poll(64 * edges.len(), || 0.0)?;
+        Ok(gains(surface, target, fit, edges))
+    })?;
     is_open.fill(false);
-    changed.iter().for_each(|&t| is_open[t as usize] = true);
-    Ok(changed.len() / 2)
+    let mut count = 0;
+    for (_, h) in gains.into_iter().flatten() {
+        let here = triangle_of(h) as usize;
+        if is_open[here] {
+            // It may be the number of another edge now.
+            continue;
+        }
+        let beyond = triangle_of(surface.mesh.twin(h)) as usize;
+        if !is_open[beyond] && is_convex(&surface.mesh, h) {
+            surface.mesh.flip(h);
+            (is_open[here], is_open[beyond]) = (true, true);
+            count += 1;
+        }
+    }
+    Ok(count)
 }

@@ -23,6 +23,7 @@ pub trait Lanes: Copy {
 
     fn splat(value: f32) -> Self::F;
     fn load(from: &[f32; LANES]) -> Self::F;
+    fn store(values: Self::F, into: &mut [f32; LANES]);
     fn add(a: Self::F, b: Self::F) -> Self::F;
     fn sub(a: Self::F, b: Self::F) -> Self::F;
     fn mul(a: Self::F, b: Self::F) -> Self::F;
@@ -63,6 +64,8 @@ pub trait Lanes: Copy {
     fn to_f(a: Self::I) -> Self::F;
     /// `yes` where `sign` is negative, `no` elsewhere.
     fn where_negative(sign: Self::I, yes: Self::F, no: Self::F) -> Self::F;
+    /// 0 where `sign` is negative, `value` elsewhere.
+    fn unless_negative(sign: Self::I, value: Self::F) -> Self::F;
     /// The larger of two, `b` where `a` is no number.
     fn max(a: Self::F, b: Self::F) -> Self::F;
     fn largest(values: Self::F) -> f32;
@@ -83,8 +86,6 @@ pub trait Lanes: Copy {
     fn is_any(mask: Self::F) -> bool;
     /// One more in the lanes of the mask.
     fn tally(counts: Self::I, mask: Self::F) -> Self::I;
-    /// Has memory send what lies there to the cache.
-    fn prefetch<T>(there: &T);
     /// Runs what is rare in a function of its own, so that it takes no registers from what is not.
     fn apart<W: Part<Self>>(part: W) -> W::Output;
 }
@@ -290,4 +291,17 @@ impl Vectors {
             Vectors::Avx512 => unsafe { avx512::run(kernel) },
         }
     }
+}
+
+/// Has memory send what lies there to the cache, if the machine can be asked to.
+#[inline(always)]
+pub fn prefetch<T>(there: &T) {
+    // SAFETY: it is there; and nothing comes of it but that.
+    #[cfg(target_arch = "x86_64")]
+    unsafe {
+        use std::arch::x86_64::{_mm_prefetch, _MM_HINT_T0};
+        _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(there).cast());
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = there;
 }

@@ -2,7 +2,7 @@
 //!
 //! Modules, each using only those above it: `predicate`, `curve`, `grid`, `mesh` (`check`,
 //! `constrain`), `scan`, `lanes` (`list`), `patch`, `walk`, `facet`, `noise`, `smoother` (`lines`), `scale`, `outline`,
-//! `candidate`, `queue`, `rule`, `rank`, `scanner`, `refine`, `outlook`, `tiles`, `crew`, `ladder`, `strips`, `share` (`owned`), `pyramid`, `fit` (`normal`), `blend`,
+//! `candidate`, `queue`, `rule`, `rank`, `scanner`, `refine`, `outlook`, `tiles`, `crew`, `ladder`, `strips`, `share` (`owned`), `shares`, `quads`, `pyramid`, `fit` (`normal`), `blend`,
 //! `flip`, `pipeline`; `python` is the binding.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
@@ -46,6 +46,7 @@ pub mod progress;
 pub mod pyramid;
 #[cfg(feature = "python")]
 mod python;
+mod quads;
 pub mod queue;
 mod rank;
 pub mod refine;
@@ -59,6 +60,7 @@ mod scanner;
 pub mod seams;
 pub mod select;
 pub mod share;
+mod shares;
 pub mod sieve;
 pub mod simplify;
 mod smoother;

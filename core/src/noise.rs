@@ -6,7 +6,7 @@ use crate::progress::Progress;
 use crate::threads::spread;
 
 /// The largest number of samples a robust statistic looks at.
-pub const MAX_SAMPLES: usize = 1 << 18;
+pub const MAX_SAMPLES: usize = 1 << 16;
 /// sigma = 1.4826 MAD for normally distributed errors.
 const MAD_TO_SIGMA: f64 = 1.4826;
 
@@ -42,7 +42,7 @@ pub fn noise<T: Height>(grid: &Grid<T>) -> f64 {
 }
 
 /// The largest number of heights whose range is looked at.
-const RANGE_SAMPLES: usize = 1 << 16;
+const RANGE_SAMPLES: usize = 1 << 14;
 /// Differences below this share of the range of the heights are never spikes.
 const SPIKE_FLOOR: f64 = 2e-3;
 /// A spike needs this many valid neighbours to be recognised.

@@ -19,6 +19,7 @@ const MAX_ITERATIONS: usize = 60;
 const CHUNK: usize = 1 << 13;
 
 /// An entry of the matrix beside the diagonal, for two vertices of a block.
+#[derive(Clone, Copy)]
 struct Inner {
     ends: [u16; 2],
     value: f32,
@@ -37,7 +38,9 @@ struct Block {
     diagonal: Vec<f32>,
     /// Inverse diagonal, 0 for vertices that stay as they are: fixed or in no data triangle.
     inverse: Vec<f32>,
+    /// As many as are counted.
     inner: Vec<Inner>,
+    count: usize,
     outer: Vec<Outer>,
 }
 
@@ -220,9 +223,9 @@ impl Block {
         self.diagonal.reserve(vertices);
         self.inverse.clear();
         self.inverse.reserve(vertices);
-        self.inner.clear();
-        // There are three edges to a vertex.
-        self.inner.reserve(3 * vertices);
+        // There are fewer than three edges to a vertex, and one more place is written to.
+        self.inner.resize(3 * vertices + 1, Inner { ends: [0; 2], value: 0.0 });
+        self.count = 0;
         self.outer.clear();
     }
 
@@ -237,26 +240,32 @@ impl Block {
         (first, diagonal, sides): (u32, &mut [f64], &mut [[f64; K]]),
     ) {
         let (Triangle { v, twin, .. }, share) = (&triangles[t as usize], &shares[t as usize]);
-        let here = v.map(|v| v.wrapping_sub(first));
+        let here = v.map(|v| v.wrapping_sub(first) as usize);
+        let is_inside = here.map(|at| at < diagonal.len());
         for k in 0..3 {
-            let at = here[k] as usize;
-            if at < diagonal.len() {
+            if is_inside[k] {
+                let at = here[k];
                 diagonal[at] += f64::from(share.corners[k]);
                 sides[at] = plus(sides[at], share.sides[k].map(f64::from));
             }
+        }
+        for k in 0..3 {
             let (h, next) = (half_edge(t, k as u32), (k + 1) % 3);
-            let value = match twin[k] {
-                NONE => share.edges[k],
-                // Of the two triangles the one that memory has given before.
-                twin if twin > h => continue,
-                twin => share.edges[k] + shares[triangle_of(twin) as usize].edges[(twin & 3) as usize],
-            };
-            let end = here[next] as usize;
-            match (at < diagonal.len(), end < diagonal.len()) {
-                (true, true) => self.inner.push(Inner { ends: [at as u16, end as u16], value }),
-                (true, false) => self.outer.push(Outer { of: at as u16, to: v[next], value }),
-                (false, true) => self.outer.push(Outer { of: end as u16, to: v[k], value }),
-                (false, false) => {}
+            // Of the two triangles the one that memory has given before. Which it is can not be foreseen: no branch.
+            let is_last = twin[k] < h;
+            let other = if is_last { twin[k] } else { h };
+            let beyond = shares[triangle_of(other) as usize].edges[(other & 3) as usize];
+            let value = share.edges[k] + f32::from(u8::from(is_last)) * beyond;
+            let counts = is_last | (twin[k] == NONE);
+            if is_inside[k] & is_inside[next] {
+                if let Some(entry) = self.inner.get_mut(self.count) {
+                    *entry = Inner { ends: [here[k] as u16, here[next] as u16], value };
+                    self.count += usize::from(counts);
+                }
+            } else if counts & is_inside[k] {
+                self.outer.push(Outer { of: here[k] as u16, to: v[next], value });
+            } else if counts & is_inside[next] {
+                self.outer.push(Outer { of: here[next] as u16, to: v[k], value });
             }
         }
     }
@@ -281,7 +290,7 @@ impl Block {
             *image = own.map(|u| u * diagonal);
         }
         let times = |u: &[f32; K], value: f32| u.map(|u| u * value);
-        for &Inner { ends: [a, b], value } in &self.inner {
+        for &Inner { ends: [a, b], value } in &self.inner[..self.count] {
             let (a, b) = (a as usize, b as usize);
             images[a] = plus(images[a], times(&own[b], value));
             images[b] = plus(images[b], times(&own[a], value));

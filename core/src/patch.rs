@@ -4,7 +4,7 @@
 use crate::error::{Error, Result};
 use crate::grid::{extent, Grid, Height};
 use crate::image::View;
-use crate::lanes::LANES;
+use crate::lanes::{prefetch, LANES};
 use crate::memory;
 use crate::predicate::{pixels_of, Point, SUB_BITS};
 use crate::window::{Window, WIDTH};
@@ -37,7 +37,7 @@ fn rows<'a, T: Height>(window: Window, view: &'a View<T>) -> impl Iterator<Item 
 }
 
 /// A copy of some polygons' surroundings pays up to so many times their own pixels,
-const SPARSE: usize = 8;
+const SPARSE: usize = 32;
 /// and a few more,
 const ENOUGH: usize = 1 << 10;
 /// but takes no more than 16 MB.
@@ -75,6 +75,12 @@ fn shift<T: Height, const CHECK: bool>(heights: &[T], reference: f64, into: &mut
     (largest.into_iter().fold(0.0, f32::max), !rounded.contains(&true))
 }
 
+/// So many rows ahead memory is asked for what is copied.
+const AHEAD: usize = 8;
+
+/// Bytes that it sends together.
+const LINE: usize = 64;
+
 /// The first `N` of every so many heights, as long as there are so many. (By `chunks_exact` it would
 /// begin with a division.)
 #[inline(always)]
@@ -89,8 +95,8 @@ fn heads<const N: usize>(mut heights: &[f32], apart: usize) -> impl Iterator<Ite
 /// Places from one row to the next. Errors: `too-large`.
 fn stride(Window { cols, rows, .. }: Window) -> Result<usize> {
     // An odd number of cache lines: rows do not compete for the same places of the cache.
-    const LINE: usize = 16;
-    let stride = ((cols + LANES).div_ceil(LINE) | 1) * LINE;
+    let line = LINE / size_of::<f32>();
+    let stride = ((cols + LANES).div_ceil(line) | 1) * line;
     if stride * (rows + 1) > i32::MAX as usize {
         let message = format!("{cols} x {rows} pixels are more than can be refined as one tile");
         return Err(Error::input("too-large", message));
@@ -132,19 +138,26 @@ impl Patch {
         polygons: impl Iterator<Item = [Point; N]>,
         reference: f64,
     ) -> Option<Self> {
-        let (mut points, mut size) = (Vec::new(), 0);
+        let (mut low, mut high) = (Point { x: i32::MAX, y: i32::MAX }, Point { x: i32::MIN, y: i32::MIN });
+        let mut size = 0;
         for p in polygons {
             size += (2..N).map(|k| pixels_of([p[0], p[k - 1], p[k]])).sum::<usize>();
-            points.extend(p);
+            for p in p {
+                low = Point { x: low.x.min(p.x), y: low.y.min(p.y) };
+                high = Point { x: high.x.max(p.x), y: high.y.max(p.y) };
+            }
         }
         let whole = Window { col: 0, row: 0, cols: grid.cols(), rows: grid.rows() };
-        let window = whole.around(&points);
+        let window = whole.around(&[low, high]);
         if window.cols * window.rows > (SPARSE * size + ENOUGH).min(MOST) {
             return None;
         }
         // The same for rasters of all types.
         let reference = f64::from(reference as f32);
-        let mut patch = Patch::empty(window, reference).ok()?;
+        let stride = stride(window).ok()?;
+        let frame = Frame { reference, is_exact: false, largest: 0.0 };
+        // 16 MB at most are not asked for.
+        let mut patch = Patch { z: vec![0.0; stride * (window.rows + 1)], base: 0, stride, window, frame };
         patch.fill::<T, false>(&View::of(grid));
         let is_safe = patch.frame.largest == 0.0 || SAFE.contains(&patch.frame.largest);
         is_safe.then_some(patch)
@@ -205,7 +218,14 @@ impl Patch {
     /// Copies the heights over the reference; `is_exact` is looked into if `CHECK`.
     fn fill<T: Height, const CHECK: bool>(&mut self, view: &View<T>) {
         let (mut largest, mut is_exact) = (0.0f32, true);
+        let mut ahead = rows(self.window, view).skip(AHEAD);
         for (into, heights) in self.z.chunks_mut(self.stride).zip(rows(self.window, view)) {
+            // Rows are too short for the processor to guess which memory comes next.
+            ahead
+                .next()
+                .into_iter()
+                .flat_map(|row| row.iter().step_by(LINE / size_of::<T>()))
+                .for_each(prefetch);
             let shift = if CHECK && is_exact { shift::<T, true> } else { shift::<T, false> };
             let row = shift(heights, self.frame.reference, into);
             (largest, is_exact) = (largest.max(row.0), is_exact & row.1);

@@ -353,7 +353,7 @@ fn fit<'a, T: Height>(
     Ok((target, fit))
 }
 
-/// Rounds of flips, each followed by a fit if there is one. Returns whether the mesh is as before.
+/// Rounds of flips, and another fit after them if there is one. Returns whether the mesh is as before.
 fn flip<T: Height>(
     surface: &mut Surface,
     target: &Grid<T>,
@@ -367,19 +367,24 @@ fn flip<T: Height>(
     progress.stage("flip")?;
     let mut open = vec![true; surface.mesh.triangles().len()];
     let runs = runs(&surface.mesh);
-    for round in 0..rounds {
-        if let Some(fit) = &mut fit {
-            fit.follow(surface, progress)?;
+    if let Some(fit) = &mut fit {
+        fit.follow(surface, progress)?;
+    }
+    let mut flips = 0;
+    for _ in 0..rounds {
+        let count = flip_pass(surface, target, &runs, fit.as_ref(), &mut open, progress)?;
+        if count == 0 {
+            break;
         }
-        if flip_pass(surface, target, &runs, fit.as_ref(), &mut open, progress)? == 0 {
-            return Ok(round == 0);
-        }
+        flips += count;
         if let Some(fit) = &mut fit {
             fit.renew(surface, target, &open, progress)?;
-            fit.solve(surface, progress)?;
         }
     }
-    Ok(false)
+    if let Some(mut fit) = fit.filter(|_| flips > 0) {
+        fit.solve(surface, progress)?;
+    }
+    Ok(flips == 0)
 }
 
 /// Brings every pixel of `data` back within the tolerance: vertices are moved to

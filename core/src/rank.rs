@@ -10,7 +10,7 @@ use crate::list::List;
 use crate::patch::Patch;
 use crate::rule::{quantile_index, Rule};
 use crate::scanned::{Found, Scan};
-use crate::select::Selector;
+use crate::select::{of_eight, Selector};
 
 /// An error found in single precision says which pixel is the worst if it is this many
 /// times the rounding.
@@ -106,11 +106,9 @@ impl Ranker {
         mut each: impl FnMut(usize, Ranked),
     ) -> usize {
         let (vectors, ranker) = (self.vectors, self);
-        let looked = match (rule.is_max(), rule.candidate == 1.0) {
+        let looked = match (rule.is_max(), rule.is_by_groups()) {
             (true, _) => vectors.run(Look::<_, WORST> { ranker, patch, rule, facets, each: &mut each }),
-            (_, true) => {
-                vectors.run(Look::<_, INSERT_WORST> { ranker, patch, rule, facets, each: &mut each })
-            }
+            (_, true) => vectors.run(Look::<_, GROUPS> { ranker, patch, rule, facets, each: &mut each }),
             _ => vectors.run(Look::<_, QUANTILES> { ranker, patch, rule, facets, each: &mut each }),
         };
         for i in (0..facets.count()).filter(|i| looked.unclear >> i & 1 != 0) {
@@ -137,8 +135,8 @@ impl Ranker {
     ) -> Standing {
         match RULE {
             WORST => Ranker::rank_by_worst::<L>(patch, rule, facet),
-            INSERT_WORST => self.rank_by_quantiles::<L, true>(patch, rule, facet),
-            _ => self.rank_by_quantiles::<L, false>(patch, rule, facet),
+            GROUPS => Ranker::rank_by_groups::<L>(patch, rule, facet),
+            _ => self.rank_by_quantiles::<L>(patch, rule, facet),
         }
     }
 
@@ -153,16 +151,24 @@ impl Ranker {
         }
     }
 
-    /// `PLACED`: the pixel to insert is the worst one.
+    /// A quantile of the largest errors in groups of pixels says which triangle comes first, the worst pixel is inserted.
     #[inline(always)]
-    fn rank_by_quantiles<L: Lanes, const PLACED: bool>(
-        &mut self,
-        patch: &Patch,
-        rule: &Rule,
-        facet: &impl Scan,
-    ) -> Standing {
-        let found = facet.collect::<L, PLACED>(patch, &mut self.memory.errors);
-        let worst = found.error;
+    fn rank_by_groups<L: Lanes>(patch: &Patch, rule: &Rule, facet: &impl Scan) -> Standing {
+        let (Found { error, place }, groups) = facet.groups::<L>(patch);
+        match verdict(patch, facet, error, rule.tolerance) {
+            Verdict::Within => Standing::Within,
+            Verdict::Unclear => Standing::Unclear,
+            Verdict::Beyond => {
+                let ranked = of_eight::<L>(groups, rule.priority);
+                let priority = rule.priority_of(ranked.into(), error.into(), facet.area());
+                Standing::Beyond(Ranked { priority, place, pick: Pick::KNOWN })
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn rank_by_quantiles<L: Lanes>(&mut self, patch: &Patch, rule: &Rule, facet: &impl Scan) -> Standing {
+        let worst = facet.collect::<L>(patch, &mut self.memory.errors);
         // The maximum bounds every quantile; what fits exactly needs no point.
         match verdict(patch, facet, worst, rule.tolerance) {
             Verdict::Within => return Standing::Within,
@@ -185,22 +191,17 @@ impl Ranker {
                 Verdict::Unclear => return Standing::Unclear,
             }
         }
-        let (place, pick) = if PLACED {
-            (found.place, Pick::KNOWN)
-        } else {
-            (facet.first(patch), Pick::by_error(quantile(rule.candidate)))
-        };
+        let pick = Pick::by_error(quantile(rule.candidate));
         let ranked = quantile(rule.priority);
-        let pixels = (count * facet.thinning()) as f64;
-        let priority = rule.priority_of(f64::from(ranked), f64::from(worst), pixels);
-        Standing::Beyond(Ranked { priority, place, pick })
+        let priority = rule.priority_of(f64::from(ranked), f64::from(worst), facet.area());
+        Standing::Beyond(Ranked { priority, place: facet.first(patch), pick })
     }
 }
 
 /// Kinds of rules, each with a kernel of its own: the worst pixel, nothing else;
 const WORST: u8 = 0;
-/// a quantile ranks, the worst pixel is inserted;
-const INSERT_WORST: u8 = 1;
+/// a quantile of groups of pixels ranks, the worst pixel is inserted;
+const GROUPS: u8 = 1;
 /// any quantiles.
 const QUANTILES: u8 = 2;
 
@@ -304,6 +305,6 @@ fn verdict(patch: &Patch, facet: &impl Scan, error: f32, tolerance: f64) -> Verd
 
 /// The rule on errors in double precision.
 fn exactly<T: Height>(facet: &Facet, patch: &Patch, view: &View<T>, rule: &Rule) -> Option<Ranked> {
-    let ranked = rule.rank(facet.exact(patch, view));
+    let ranked = rule.rank(facet.exact(patch, view), facet.area());
     ranked.map(|(priority, place)| Ranked { priority, place, pick: Pick::KNOWN })
 }

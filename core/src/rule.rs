@@ -1,10 +1,10 @@
 //! Which triangle comes first, and which of its pixels is inserted.
 //!
 //! In every triangle the errors |z - plane| of its pixels (closed triangle, corners excluded)
-//! are taken. Their quantile `priority` times count^`weight` tells how urgent the triangle is;
-//! the pixel at the quantile `candidate` is what is inserted (if that is the worst one, a share
-//! of its error counts, too). The paper's metric is (0.5, 0, 0.5), Garland and Heckbert's is
-//! (1, 0, 1).
+//! are taken. Their quantile `priority` times n^`weight`, n being its area in pixels, tells how urgent the triangle is;
+//! the pixel at the quantile `candidate` is what is inserted. If that is the worst one, its error is added to the quantile, and this
+//! is (unless another quantile than the maximum is bounded) that of the largest errors in eight groups of pixels: every eighth column is one.
+//! The paper's metric is (0.5, 0, 0.5), Garland and Heckbert's is (1, 0, 1).
 
 /// How triangles are ranked, what is inserted and when to stop.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,40 +27,51 @@ impl Rule {
         [self.priority, self.candidate, self.bound] == [1.0; 3] && self.weight == 0.0
     }
 
+    /// Whether the worst pixel is inserted, and others of its triangle have a say in when.
+    pub fn is_by_groups(&self) -> bool {
+        self.candidate == 1.0 && self.bound == 1.0 && !self.is_max()
+    }
+
     /// How urgent a triangle of so many pixels is, whose errors have this quantile `priority`
     /// and this maximum.
     pub fn priority_of(&self, quantile: f64, worst: f64, pixels: f64) -> f64 {
-        let share = if self.candidate == 1.0 && self.priority < 1.0 { WORST_SHARE * worst } else { 0.0 };
+        // A triangle that fits but for one pixel is not to wait forever.
+        let worst = if self.candidate == 1.0 && !self.is_max() { worst } else { 0.0 };
         let weight = match self.weight {
             0.0 => 1.0,
             0.5 => pixels.sqrt(),
             weight => pixels.powf(weight),
         };
-        (quantile + share) * weight
+        (quantile + worst) * weight
     }
 
     /// The priority and the place of the candidate among errors in double precision, if they
-    /// are beyond the tolerance.
-    pub fn rank(&self, errors: Vec<(f64, usize)>) -> Option<(f64, usize)> {
+    /// are beyond the tolerance. Places of one column have the same remainder by [`GROUPS`].
+    pub fn rank(&self, errors: Vec<(f64, usize)>, pixels: f64) -> Option<(f64, usize)> {
         let mut sorted = errors;
         // Stable: of equal errors the first pixel comes first.
         sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let count = sorted.len();
-        let quantile = |q: f64| sorted[quantile_index(count, q)].0;
+        let quantile = |q: f64| sorted[quantile_index(sorted.len(), q)].0;
         let worst = sorted.last()?.0;
         if worst <= self.tolerance || quantile(self.bound) <= self.tolerance && self.tolerance > 0.0 {
             return None;
         }
         let at = quantile(self.candidate);
         let place = sorted.iter().find(|e| e.0 == at)?.1;
-        Some((self.priority_of(quantile(self.priority), worst, count as f64), place))
+        let ranked = if self.is_by_groups() {
+            let largest = |group: usize| sorted.iter().rev().find(|e| e.1 % GROUPS == group).map(|e| e.0);
+            let mut groups: Vec<f64> = (0..GROUPS).filter_map(largest).collect();
+            groups.sort_by(f64::total_cmp);
+            groups[quantile_index(groups.len(), self.priority)]
+        } else {
+            quantile(self.priority)
+        };
+        Some((self.priority_of(ranked, worst, pixels), place))
     }
 }
 
-/// Where the worst pixel is what gets inserted, this share of its error counts beside
-/// the quantile: a triangle that fits but for one pixel does not wait forever, and
-/// those whose median error is zero are told apart.
-const WORST_SHARE: f64 = 0.3;
+/// Of pixels, by their columns.
+const GROUPS: usize = 8;
 
 /// Index of the quantile `q` among `n` sorted errors; 0.5 gives the lower median.
 pub fn quantile_index(n: usize, q: f64) -> usize {

@@ -29,8 +29,8 @@ pub trait Scan {
     /// Whether single precision holds its plane as it is.
     fn is_exact(&self) -> bool;
 
-    /// Pixels that each candidate stands for: 1 but for a sample.
-    fn thinning(&self) -> usize;
+    /// Its area in pixels, which is about their number.
+    fn area(&self) -> f64;
 
     /// The place of its first corner, or of a pixel beside it: corners between pixels may lie outside the patch.
     fn first(&self, patch: &Patch) -> usize;
@@ -53,14 +53,22 @@ pub trait Scan {
         self.run(patch, Worst::<L, true>::default()).found()
     }
 
-    /// Collects all errors; returns the largest, where `PLACED` with its place.
+    /// The same, and the largest error of each of eight groups of pixels, every eighth column being one; -1 where there is no
+    /// candidate.
     #[inline(always)]
-    fn collect<L: Lanes, const PLACED: bool>(&self, patch: &Patch, errors: &mut List) -> Found {
+    fn groups<L: Lanes>(&self, patch: &Patch) -> (Found, L::F) {
+        let worst = self.run(patch, Worst::<L, true>::default());
+        (worst.found(), worst.error)
+    }
+
+    /// Collects all errors; returns the largest.
+    #[inline(always)]
+    fn collect<L: Lanes>(&self, patch: &Patch, errors: &mut List) -> f32 {
         let values = errors.start(self.room());
-        let collector = Collector::<L, PLACED> { worst: Worst::default(), values, count: 0 };
+        let collector = Collector::<L> { worst: Worst::default(), values, count: 0 };
         let Collector { worst, count, .. } = self.run(patch, collector);
         errors.end(count);
-        worst.found()
+        worst.found().error
     }
 }
 
@@ -167,14 +175,14 @@ pub struct WorstOfBoth<L: Lanes> {
     next: <L::Pair as Pair<L>>::Edge,
 }
 
-struct Collector<'a, L: Lanes, const PLACED: bool> {
-    worst: Worst<L, PLACED>,
+struct Collector<'a, L: Lanes> {
+    worst: Worst<L, false>,
     /// With room for all.
     values: &'a mut [f32],
     count: usize,
 }
 
-impl<L: Lanes, const PLACED: bool> Visitor<L> for Collector<'_, L, PLACED> {
+impl<L: Lanes> Visitor<L> for Collector<'_, L> {
     #[inline(always)]
     fn move_to(&mut self, place: usize, further: usize) {
         self.worst.move_to(place, further);

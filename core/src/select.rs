@@ -2,6 +2,7 @@
 
 use crate::lanes::{Lanes, Pair, Part, LANES};
 use crate::list::List;
+use crate::rule::quantile_index;
 
 /// Scratch memory of a selection.
 #[derive(Default)]
@@ -16,7 +17,7 @@ const PAIR: usize = 2 * LANES;
 /// Pairs few enough for comparing all their values with each other.
 const FEW: usize = 2;
 
-/// Values of a sample, which tells about where the k-th of a long list lies.
+/// Values of a sample, which tells about where one of a long list lies.
 const SAMPLE: usize = PAIR;
 
 /// Ranks in the sample on either side between which that is thought to be.
@@ -39,6 +40,20 @@ impl Selector {
     pub fn nth<L: Lanes>(&mut self, list: &List, k: usize) -> f32 {
         L::apart(Nth { list, k, selector: self })
     }
+}
+
+/// A quantile of eight values, those that are negative left out; negative if all are.
+#[inline(always)]
+pub fn of_eight<L: Lanes>(values: L::F, q: f64) -> f32 {
+    let mut eight = [0.0; LANES];
+    L::store(values, &mut eight);
+    let mut smaller = L::splat_i(0);
+    for value in eight {
+        smaller = L::tally(smaller, L::greater(values, L::splat(value)));
+    }
+    let count = L::count(L::greater(values, L::splat(-0.5)));
+    let k = LANES - count + quantile_index(count.max(1), q);
+    L::largest(L::where_negative(L::sub_i(L::splat_i(k as i32), smaller), L::splat(-1.0), values))
 }
 
 struct Nth<'a> {
@@ -139,13 +154,19 @@ fn of_rank<L: Lanes, const N: usize>(pairs: [L::Pair; N], ranks: [Ints<L>; N], k
     L::largest(largest)
 }
 
-/// Between which values the k-th is thought to lie.
 #[inline(always)]
-fn bracket<L: Lanes>(list: &[f32], k: usize, low: f32, high: f32) -> (f32, f32) {
+fn sample(list: &[f32]) -> [f32; SAMPLE] {
     let mut sample = [0.0; SAMPLE];
     for (i, value) in sample.iter_mut().enumerate() {
         *value = list[(2 * i + 1) * list.len() / (2 * SAMPLE)];
     }
+    sample
+}
+
+/// Between which values the k-th is thought to lie.
+#[inline(always)]
+fn bracket<L: Lanes>(list: &[f32], k: usize, low: f32, high: f32) -> (f32, f32) {
+    let sample = sample(list);
     let pair = [L::Pair::load(&sample)];
     let ranks = ranks::<L, 1>(pair, &[sample]);
     let rank = k * SAMPLE / list.len();

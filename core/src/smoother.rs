@@ -3,7 +3,7 @@
 
 use crate::error::Result;
 use crate::grid::{Grid, Height};
-use crate::lanes::{Kernel, Lanes, Vectors};
+use crate::lanes::{prefetch, Kernel, Lanes, Vectors};
 use crate::lines::Lines;
 use crate::progress::Progress;
 use crate::window::Window;
@@ -52,7 +52,7 @@ impl<T: Height> Kernel for Strip<'_, '_, T> {
 
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        self.smoother.strip::<L>(self.row, self.columns, self.into);
+        self.smoother.strip(self.row, self.columns, self.into);
     }
 }
 
@@ -90,7 +90,7 @@ impl<'g, T: Height> Smoother<'g, T> {
     }
 
     #[inline(always)]
-    fn strip<L: Lanes>(&mut self, row: usize, columns: Range<usize>, into: &mut [T]) {
+    fn strip(&mut self, row: usize, columns: Range<usize>, into: &mut [T]) {
         let Smoother { grid, kx, ky, lines, moments, mass, sum, cut_off, .. } = self;
         let (rx, ry) = (kx.len() / 2, ky.len() / 2);
         let seen = columns.start.saturating_sub(rx)..(columns.end + rx).min(grid.cols());
@@ -111,7 +111,7 @@ impl<'g, T: Height> Smoother<'g, T> {
         if is_inside {
             let whole_blocks = seen.len().next_multiple_of(BLOCK);
             let ahead = grid.row((row + ry + AHEAD).min(grid.rows() - 1));
-            let ask = |i: usize| L::prefetch(&ahead[seen.start + i * BLOCK]);
+            let ask = |i: usize| prefetch(&ahead[seen.start + i * BLOCK]);
             weigh(&ky[ry..], lines.around(row), ask, &mut row_sum[first..first + whole_blocks]);
             row_sum[within.end..used].fill(0.0);
         } else {

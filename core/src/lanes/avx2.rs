@@ -102,6 +102,10 @@ impl<W: Width> Lanes for Avx<W> {
         unsafe { _mm256_loadu_ps(from.as_ptr()) }
     }
     #[inline(always)]
+    fn store(values: Self::F, into: &mut [f32; LANES]) {
+        unsafe { _mm256_storeu_ps(into.as_mut_ptr(), values) }
+    }
+    #[inline(always)]
     fn add(a: Self::F, b: Self::F) -> Self::F {
         unsafe { _mm256_add_ps(a, b) }
     }
@@ -247,6 +251,10 @@ impl<W: Width> Lanes for Avx<W> {
         unsafe { _mm256_blendv_ps(no, yes, _mm256_castsi256_ps(sign)) }
     }
     #[inline(always)]
+    fn unless_negative(sign: Self::I, value: Self::F) -> Self::F {
+        unsafe { _mm256_andnot_ps(_mm256_castsi256_ps(_mm256_srai_epi32::<31>(sign)), value) }
+    }
+    #[inline(always)]
     fn max(a: Self::F, b: Self::F) -> Self::F {
         unsafe { _mm256_max_ps(a, b) }
     }
@@ -312,10 +320,6 @@ impl<W: Width> Lanes for Avx<W> {
     fn tally(counts: Self::I, mask: Self::F) -> Self::I {
         // A lane that is set is -1.
         unsafe { _mm256_sub_epi32(counts, _mm256_castps_si256(mask)) }
-    }
-    #[inline(always)]
-    fn prefetch<T>(there: &T) {
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(there).cast()) }
     }
     #[inline(always)]
     fn apart<P: Part<Self>>(part: P) -> P::Output {

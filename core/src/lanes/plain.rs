@@ -38,6 +38,10 @@ impl Lanes for Plain {
         *from
     }
     #[inline(always)]
+    fn store(values: Self::F, into: &mut [f32; LANES]) {
+        *into = values;
+    }
+    #[inline(always)]
     fn add(a: Self::F, b: Self::F) -> Self::F {
         both(a, b, |a, b| a + b)
     }
@@ -170,6 +174,10 @@ impl Lanes for Plain {
         std::array::from_fn(|i| if sign[i] < 0 { yes[i] } else { no[i] })
     }
     #[inline(always)]
+    fn unless_negative(sign: Self::I, value: Self::F) -> Self::F {
+        std::array::from_fn(|i| if sign[i] < 0 { 0.0 } else { value[i] })
+    }
+    #[inline(always)]
     fn max(a: Self::F, b: Self::F) -> Self::F {
         both(a, b, |a, b| if a > b { a } else { b })
     }
@@ -220,8 +228,6 @@ impl Lanes for Plain {
     fn tally(counts: Self::I, mask: Self::F) -> Self::I {
         both(counts, mask, |count, m| count + i32::from(is_set(m)))
     }
-    #[inline(always)]
-    fn prefetch<T>(_there: &T) {}
     #[inline(never)]
     fn apart<W: Part<Self>>(part: W) -> W::Output {
         part.run()
