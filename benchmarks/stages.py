@@ -27,7 +27,7 @@ VARIANTS: dict[str, dict[str, object]] = {
     "candidate: the median pixel": {"candidate": "median"},
     "candidate: the 0.9 quantile": {"candidate": 0.9},
     "priority: median, weight 0": {"weight": 0.0},
-    "priority: median, weight 0.25": {"weight": 0.25},
+    "priority: median, weight 0.5": {"weight": 0.5},
     "priority: maximum, weight 0": {"metric": "max", "weight": 0.0},
     "priority: maximum, weight 0.25": {"metric": "max", "weight": 0.25},
     "the paper's pair: median, weight 0, median pixel": {"weight": 0.0, "candidate": "median"},

@@ -57,7 +57,7 @@ def _method(value: Any) -> str:
 METHODS: Mapping[str, Mapping[str, Any]] = {
     "auto": {
         "metric": 0.5,
-        "weight": 0.5,
+        "weight": 0.25,
         "candidate": 1.0,
         "scales": "auto",
         "despike": True,

@@ -262,9 +262,8 @@ impl Scan for Narrow<'_> {
     }
 
     #[inline(always)]
-    fn area(&self) -> f64 {
-        let [a, b, c] = [0, 1, 2].map(|k| f64::from(self.facets.ready.edges[k][self.i]));
-        (a + b + c) * (0.5 / f64::from(UNIT * UNIT))
+    fn thinning(&self) -> usize {
+        1
     }
 
     #[inline(always)]

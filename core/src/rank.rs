@@ -154,13 +154,14 @@ impl Ranker {
     /// A quantile of the largest errors in groups of pixels says which triangle comes first, the worst pixel is inserted.
     #[inline(always)]
     fn rank_by_groups<L: Lanes>(patch: &Patch, rule: &Rule, facet: &impl Scan) -> Standing {
-        let (Found { error, place }, groups) = facet.groups::<L>(patch);
+        let (Found { error, place }, groups, count) = facet.groups::<L>(patch);
         match verdict(patch, facet, error, rule.tolerance) {
             Verdict::Within => Standing::Within,
             Verdict::Unclear => Standing::Unclear,
             Verdict::Beyond => {
                 let ranked = of_eight::<L>(groups, rule.priority);
-                let priority = rule.priority_of(ranked.into(), error.into(), facet.area());
+                let pixels = (count * facet.thinning()) as f64;
+                let priority = rule.priority_of(ranked.into(), error.into(), pixels);
                 Standing::Beyond(Ranked { priority, place, pick: Pick::KNOWN })
             }
         }
@@ -193,7 +194,8 @@ impl Ranker {
         }
         let pick = Pick::by_error(quantile(rule.candidate));
         let ranked = quantile(rule.priority);
-        let priority = rule.priority_of(f64::from(ranked), f64::from(worst), facet.area());
+        let pixels = (count * facet.thinning()) as f64;
+        let priority = rule.priority_of(f64::from(ranked), f64::from(worst), pixels);
         Standing::Beyond(Ranked { priority, place: facet.first(patch), pick })
     }
 }
@@ -305,6 +307,6 @@ fn verdict(patch: &Patch, facet: &impl Scan, error: f32, tolerance: f64) -> Verd
 
 /// The rule on errors in double precision.
 fn exactly<T: Height>(facet: &Facet, patch: &Patch, view: &View<T>, rule: &Rule) -> Option<Ranked> {
-    let ranked = rule.rank(facet.exact(patch, view), facet.area());
+    let ranked = rule.rank(facet.exact(patch, view));
     ranked.map(|(priority, place)| Ranked { priority, place, pick: Pick::KNOWN })
 }

@@ -1,7 +1,7 @@
 //! Which triangle comes first, and which of its pixels is inserted.
 //!
 //! In every triangle the errors |z - plane| of its pixels (closed triangle, corners excluded)
-//! are taken. Their quantile `priority` times n^`weight`, n being its area in pixels, tells how urgent the triangle is;
+//! are taken. Their quantile `priority` times count^`weight` tells how urgent the triangle is;
 //! the pixel at the quantile `candidate` is what is inserted. If that is the worst one, its error is added to the quantile, and this
 //! is (unless another quantile than the maximum is bounded) that of the largest errors in eight groups of pixels: every eighth column is one.
 //! The paper's metric is (0.5, 0, 0.5), Garland and Heckbert's is (1, 0, 1).
@@ -39,6 +39,7 @@ impl Rule {
         let worst = if self.candidate == 1.0 && !self.is_max() { worst } else { 0.0 };
         let weight = match self.weight {
             0.0 => 1.0,
+            0.25 => pixels.sqrt().sqrt(),
             0.5 => pixels.sqrt(),
             weight => pixels.powf(weight),
         };
@@ -47,7 +48,7 @@ impl Rule {
 
     /// The priority and the place of the candidate among errors in double precision, if they
     /// are beyond the tolerance. Places of one column have the same remainder by [`GROUPS`].
-    pub fn rank(&self, errors: Vec<(f64, usize)>, pixels: f64) -> Option<(f64, usize)> {
+    pub fn rank(&self, errors: Vec<(f64, usize)>) -> Option<(f64, usize)> {
         let mut sorted = errors;
         // Stable: of equal errors the first pixel comes first.
         sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -66,7 +67,7 @@ impl Rule {
         } else {
             quantile(self.priority)
         };
-        Some((self.priority_of(ranked, worst, pixels), place))
+        Some((self.priority_of(ranked, worst, sorted.len() as f64), place))
     }
 }
 

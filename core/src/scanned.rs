@@ -29,8 +29,8 @@ pub trait Scan {
     /// Whether single precision holds its plane as it is.
     fn is_exact(&self) -> bool;
 
-    /// Its area in pixels, which is about their number.
-    fn area(&self) -> f64;
+    /// Pixels that each candidate stands for: 1 but for a sample.
+    fn thinning(&self) -> usize;
 
     /// The place of its first corner, or of a pixel beside it: corners between pixels may lie outside the patch.
     fn first(&self, patch: &Patch) -> usize;
@@ -53,12 +53,15 @@ pub trait Scan {
         self.run(patch, Worst::<L, true>::default()).found()
     }
 
-    /// The same, and the largest error of each of eight groups of pixels, every eighth column being one; -1 where there is no
-    /// candidate.
+    /// The same, the largest error of each of eight groups of pixels, every eighth column being one (-1 where there is no
+    /// candidate), and the number of candidates.
     #[inline(always)]
-    fn groups<L: Lanes>(&self, patch: &Patch) -> (Found, L::F) {
-        let worst = self.run(patch, Worst::<L, true>::default());
-        (worst.found(), worst.error)
+    fn groups<L: Lanes>(&self, patch: &Patch) -> (Found, L::F, usize) {
+        let groups = Groups::<L> { worst: Worst::default(), counts: L::splat_i(0) };
+        let Groups { worst, counts } = self.run(patch, groups);
+        let none = L::splat(0.0);
+        let [count, ..] = L::sums([L::to_f(counts), none, none, none]);
+        (worst.found(), worst.error, count as usize)
     }
 
     /// Collects all errors; returns the largest.
@@ -173,6 +176,46 @@ pub struct WorstOfBoth<L: Lanes> {
     error: L::Pair,
     place: <L::Pair as Pair<L>>::Ints,
     next: <L::Pair as Pair<L>>::Edge,
+}
+
+/// The worst pixel and, lane by lane, the number of candidates.
+struct Groups<L: Lanes> {
+    worst: Worst<L, true>,
+    counts: L::I,
+}
+
+impl<L: Lanes> Visitor<L> for Groups<L> {
+    #[inline(always)]
+    fn move_to(&mut self, place: usize, further: usize) {
+        self.worst.move_to(place, further);
+    }
+
+    #[inline(always)]
+    fn see(&mut self, error: L::F) -> bool {
+        self.counts = L::tally(self.counts, L::greater(error, L::splat(-0.5)));
+        self.worst.see(error)
+    }
+
+    type Both = (WorstOfBoth<L>, <L::Pair as Pair<L>>::Ints);
+
+    #[inline(always)]
+    fn both(&self) -> Self::Both {
+        let none = L::splat_i(0);
+        (self.worst.both(), L::Pair::ints(L::Pair::edge(none, none)))
+    }
+
+    #[inline(always)]
+    fn see_both(&mut self, (both, counts): &mut Self::Both, errors: L::Pair) -> bool {
+        *counts = errors.tally(*counts, -0.5);
+        self.worst.see_both(both, errors)
+    }
+
+    #[inline(always)]
+    fn end_both(&mut self, (both, counts): Self::Both) {
+        let [left, right] = L::Pair::half_ints(counts);
+        self.counts = L::add_i(self.counts, L::add_i(left, right));
+        self.worst.end_both(both);
+    }
 }
 
 struct Collector<'a, L: Lanes> {

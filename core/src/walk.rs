@@ -62,7 +62,7 @@ impl Walk {
     }
 
     /// Pixels that each of those walked stands for.
-    #[cfg(test)]
+    #[inline(always)]
     pub fn thinning(&self) -> usize {
         (self.strips * self.rows) as usize
     }

@@ -124,8 +124,8 @@ def same_place(dataset, other):
         ({"DESPIKE": "no", "FIT": "no", "FLIPS": 0}, ["--no-despike", "--no-fit", "--flips", "0"]),
         ({"SCALES": "2px,1px", "METRIC": "max", "Z_FACTOR": 2.5},
          ["--scales", "2px,1px", "--metric", "max", "--z-factor", "2.5"]),
-        ({"WEIGHT": 0.25, "CANDIDATE": "0.9", "POINTS_PER_SCALE": 100, "SCALES": "1px,0px"},
-         ["--weight", "0.25", "--candidate", "0.9", "--points-per-scale", "100", "--scales", "1px,0px"]),
+        ({"WEIGHT": 0.75, "CANDIDATE": "0.9", "POINTS_PER_SCALE": 100, "SCALES": "1px,0px"},
+         ["--weight", "0.75", "--candidate", "0.9", "--points-per-scale", "100", "--scales", "1px,0px"]),
     ],
 )  # fmt: skip
 def test_options_mean_what_they_mean_to_the_command_line(run, command, tmp_path, options, flags):

@@ -75,7 +75,7 @@ pub fn method(name: &str, max_points: usize) -> Option<Options> {
             ..plain
         }),
         "auto" => Some(Options {
-            rule: rule(0.5, 0.5, 1.0, 1.0),
+            rule: rule(0.5, 0.25, 1.0, 1.0),
             scales: Scales::Auto,
             despike: true,
             fit: true,
