@@ -72,9 +72,17 @@ fn choices(z: &[f64], cols: usize, points: &[Point], rule: &Rule) -> Vec<(f64, P
         let at = |q: f64| errors[((errors.len() - 1) as f64 * q) as usize];
         if !errors.is_empty() && at(rule.bound).0 > rule.tolerance {
             let is_worst = rule.candidate == 1.0 && rule.priority < 1.0;
-            let share = if is_worst { 0.3 * at(1.0).0 } else { 0.0 };
-            let count = errors.len() as f64;
-            let priority = (at(rule.priority).0 + share) * count.powf(rule.weight);
+            let ranked = if is_worst {
+                // The largest error of every eighth column, and the largest of all.
+                let of_column = |q: Point| (q.x >> 8) % 8;
+                let largest = |k: i32| errors.iter().rev().find(|e| of_column(e.1) == k).map(|e| e.0);
+                let mut groups: Vec<f64> = (0..8).filter_map(largest).collect();
+                groups.sort_by(f64::total_cmp);
+                groups[((groups.len() - 1) as f64 * rule.priority) as usize] + at(1.0).0
+            } else {
+                at(rule.priority).0
+            };
+            let priority = ranked * (errors.len() as f64).powf(rule.weight);
             let alike = errors.iter().filter(|e| (e.0 - at(rule.candidate).0).abs() <= ROUNDING);
             found.extend(alike.map(|e| (priority, e.1)));
         }

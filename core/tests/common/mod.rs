@@ -19,7 +19,7 @@ use std::collections::BTreeSet;
 
 pub const PAPER: Rule = Rule { priority: 0.5, weight: 0.0, candidate: 0.5, tolerance: 0.0, bound: 0.5 };
 pub const MAX: Rule = Rule { priority: 1.0, weight: 0.0, candidate: 1.0, tolerance: 0.0, bound: 1.0 };
-pub const AUTO: Rule = Rule { priority: 0.5, weight: 0.5, candidate: 1.0, tolerance: 0.0, bound: 1.0 };
+pub const AUTO: Rule = Rule { priority: 0.5, weight: 0.25, candidate: 1.0, tolerance: 0.0, bound: 1.0 };
 
 /// The metric (x, y) -> (a x + b y, c y), whose ground coordinates are integers.
 pub fn form(a: i64, b: i64, c: i64) -> Metric {
